@@ -129,6 +129,12 @@ struct camera_ops {
      *       ERR_LOST. On error *set is not changed, and neither are coming frames. */
     MUST_USE err_t (*request)(void *st, const struct exposure *requested, struct exposure *set);
 
+    /* Lengthen one coming frame, once, by `seconds` (0..period), so that later frames start that
+     * much later. NULL: the device cannot.
+     * out:  *shift: what was set, rounded to its steps.
+     * err:  ERR_UNSUPPORTED, ERR_BUSY (later), ERR_IO, ERR_LOST. On error nothing is changed. */
+    MUST_USE err_t (*shift)(void *st, double seconds, double *shift);
+
     /* The oldest frame that waits.
      * own:  release.
      * err:  ERR_AGAIN (none; also when the caller holds all buffers), ERR_IO (a frame could not be

@@ -13,6 +13,7 @@ void schedule_order(const struct config *c, int64_t press_ns, struct session_ord
         .mode = c->bracket_mode == CONFIG_AUTO ? SESSION_AUTO : SESSION_LIST,
         .middle_s = c->bracket_middle_us * 1e-6,
         .stagger = c->bracket_stagger != 0,
+        .turn = -1,
         .verify = true,
         .snr = pow(10, c->bracket_snr_db / 20.0),
         .skew_s = c->bracket_skew_ms * 1e-3,
@@ -24,11 +25,13 @@ void schedule_order(const struct config *c, int64_t press_ns, struct session_ord
 
 bool schedule_is_metered(const struct session_order *o)
 {
-    return o->mode == SESSION_AUTO || !(o->middle_s > 0);
+    return o->mode != SESSION_LIST || !(o->middle_s > 0);
 }
 
 int schedule_frames(const struct session_order *o)
 {
+    if (o->mode == SESSION_METER)
+        return 0;
     return o->stagger ? 1 : o->mode == SESSION_LIST ? o->n : BRACKET_EXPOSURES_MAX;
 }
 

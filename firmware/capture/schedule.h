@@ -10,6 +10,7 @@
 enum session_mode {
     SESSION_AUTO, // metered
     SESSION_LIST, // the given stops around the middle exposure
+    SESSION_METER // metered as AUTO, but nothing is kept: the take has only its `meter`
 };
 
 struct session_order {
@@ -18,11 +19,15 @@ struct session_order {
     double ev[BRACKET_EXPOSURES_MAX]; // for LIST: stops, any order
     double middle_s;                  // for LIST: exposure at EV 0; 0: metered
     bool stagger;  // one exposure per camera, in turn; every camera's turn moves on with each take
+    int turn;      // for stagger: exposure of the first camera, from 0, round and round; -1: whose
+                   // turn it is. Not for METER
     bool verify;   // for AUTO: check the coverage and extend once
     double snr;    // for AUTO, as a ratio; 0: default
     double skew_s; // larger spoils the take; 0: any
     bool refocus; // cameras with focus=once search anew; else only what has not since it was opened
     int64_t trigger_ns; // CLOCK_MONOTONIC
+    int64_t start_ns;   // when the first exposure of a LIST with a known middle is to begin, by the
+                        // cameras' clock (backends_now); 0, or past: at once
 };
 
 /* The order for a press, by settings that config_check_rig has read. */

@@ -124,7 +124,9 @@ static err_t take_frame(struct session *s, int i, struct frame *f, int64_t now)
     struct bracket_event ev = {.kind = BRACKET_FRAME, .now_ns = now, .camera = i, .frame = f};
     bool view = now >= c->look_ns, bad = (f->flags & (FRAME_ERROR | FRAME_SHORT)) != 0;
     bool trouble = s->phase == PHASE_TROUBLE;
-    if (!bad && (is_shooting(s) || view || trouble)) {
+    if (!is_shooting(s))
+        session_start_see(s, i, f, now);
+    if (!bad && (is_shooting(s) || view || trouble || s->phase == PHASE_WAIT)) {
         bad = subsample_run(&c->about.info, f, &s->sample) != OK;
         if (!bad && view)
             update_view(s, c, now);
@@ -147,6 +149,8 @@ static err_t drain_camera(struct session *s, int i)
     struct cam *c = &s->cam[i];
     err_t e = OK;
     for (int n = c->about.info.buffers; n > 0 && c->open && !e; n--) {
+        if (s->phase == PHASE_WAIT && session_start_due(s, i))
+            return OK;
         struct frame f;
         int64_t now = backends_now(c->ops, c->st); // looking at a frame takes time
         struct bracket_event ev = {.now_ns = now, .camera = i};
@@ -282,13 +286,14 @@ static err_t begin_meters(struct session *s)
 
 static err_t plan_shots(struct session *s)
 {
+    int turn = s->order.turn < 0 ? s->turn : s->order.turn;
     for (int i = 0; i < s->n; i++) {
         struct cam *c = &s->cam[i];
         if (schedule_is_metered(&s->order) && meter_choose(&c->meter, &c->plan) != OK)
             return session_machine_name(c, ERR_ARG);
-        schedule_shots(&s->order, i + s->turn, &c->about.info, &c->plan, &c->roll, &s->plan[i]);
+        schedule_shots(&s->order, i + turn, &c->about.info, &c->plan, &c->roll, &s->plan[i]);
     }
-    s->turn += s->order.stagger;
+    s->turn += s->order.stagger && s->order.turn < 0;
     return OK;
 }
 
@@ -403,14 +408,24 @@ static err_t follow_focus(struct session *s, int64_t now)
     return e == ERR_AGAIN || s->cancelled ? OK : e ? e : start_plans(s, now);
 }
 
+/* While the start is in the future. */
+static err_t follow_wait(struct session *s, int64_t now)
+{
+    err_t e = s->cancelled ? OK : session_start_wait(s);
+    if (s->cancelled)
+        finish_take(s, false);
+    return e == ERR_AGAIN || s->cancelled ? OK : e ? e : begin_plan(s, PHASE_SHOOT, now);
+}
+
 /* Continues the take from the state of the machine. */
 static err_t follow_machine(struct session *s, int64_t now)
 {
     struct bracket_progress p;
     err_t e = s->phase == PHASE_TROUBLE ? follow_trouble(s, now)
               : s->phase == PHASE_FOCUS ? follow_focus(s, now)
+              : s->phase == PHASE_WAIT  ? follow_wait(s, now)
                                         : OK;
-    while (s->phase > PHASE_FOCUS && s->phase != PHASE_TROUBLE && !e && !is_shooting(s)) {
+    while (s->phase > PHASE_WAIT && s->phase != PHASE_TROUBLE && !e && !is_shooting(s)) {
         bracket_progress(s->machine, &p);
         s->frames_used += p.frames;
         s->rejected += p.rejected;
@@ -438,7 +453,11 @@ static err_t start_plans(struct session *s, int64_t now)
         plan_probes(s);
     else if (!e)
         e = plan_shots(s);
-    return e ? e : begin_plan(s, metered ? PHASE_PROBE : PHASE_SHOOT, now);
+    if (!e && s->order.start_ns > 0)
+        e = session_start_begin(s);
+    else if (!e)
+        e = begin_plan(s, metered ? PHASE_PROBE : PHASE_SHOOT, now);
+    return e;
 }
 
 static err_t check_order(const struct session *s, const struct session_order *o)
@@ -446,6 +465,8 @@ static err_t check_order(const struct session *s, const struct session_order *o)
     if (o->mode == SESSION_LIST && (o->n < 1 || o->n > BRACKET_EXPOSURES_MAX))
         return err_fail(ERR_ARG, "%d exposures are given, 1..%d are possible", o->n,
                         BRACKET_EXPOSURES_MAX);
+    if (o->start_ns > 0 && schedule_is_metered(o))
+        return err_fail(ERR_ARG, "a start is given, but the exposures are to be metered first");
     if (s->ready || s->phase != PHASE_NONE)
         return err_fail(ERR_BUSY, "another capture is still running");
     for (int i = 0; i < s->n; i++)
@@ -552,8 +573,10 @@ enum session_state session_state(const struct session *s)
 {
     if (s->ready)
         return SESSION_READY;
+    if (s->phase == PHASE_FOCUS || s->phase == PHASE_PROBE)
+        return SESSION_METERING;
     if (s->phase != PHASE_NONE)
-        return s->phase <= PHASE_PROBE ? SESSION_METERING : SESSION_SHOOTING;
+        return SESSION_SHOOTING;
     return s->lost ? SESSION_LOST : SESSION_ARMED;
 }
 
@@ -564,7 +587,9 @@ const char *session_status(const struct session *s)
                                         [SESSION_METERING] = "meters the light",
                                         [SESSION_SHOOTING] = "takes the exposures",
                                         [SESSION_READY] = "hands over a capture"};
-    return s->phase == PHASE_FOCUS ? "focuses" : words[session_state(s)];
+    return s->phase == PHASE_FOCUS  ? "focuses"
+           : s->phase == PHASE_WAIT ? "waits for the start"
+                                    : words[session_state(s)];
 }
 
 double session_longest_s(const struct session *s)
@@ -600,7 +625,7 @@ void session_view(const struct session *s, int camera, struct session_view *out)
 int session_poll(const struct session *s, struct pollfd *fds, int cap, int64_t *deadline_ns)
 {
     int n = 0;
-    bool timed = s->phase == PHASE_TROUBLE || s->phase == PHASE_FOCUS;
+    bool timed = s->phase == PHASE_TROUBLE || s->phase == PHASE_FOCUS || s->phase == PHASE_WAIT;
     *deadline_ns = timed ? s->until_ns : bracket_deadline(s->machine);
     for (int i = 0; i < s->n; i++) {
         const struct cam *c = &s->cam[i];

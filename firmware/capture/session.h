@@ -27,8 +27,8 @@ enum session_state {
     SESSION_LOST, // some camera is not there
     SESSION_ARMED,
     SESSION_METERING, // or focuses
-    SESSION_SHOOTING,
-    SESSION_READY // a take waits for session_collect
+    SESSION_SHOOTING, // or waits for the start
+    SESSION_READY     // a take waits for session_collect
 };
 
 struct session;

@@ -6,9 +6,31 @@
 #include "firmware/capture/frame_buffer.h"
 #include "firmware/capture/session.h"
 
+enum { SESSION_SETTLE = 12 }; // frames until a request is surely in force
+
 #define SESSION_RETRY_NS INT64_C(1000000000) // between searches for a lost camera
 
-enum phase { PHASE_NONE, PHASE_FOCUS, PHASE_PROBE, PHASE_SHOOT, PHASE_EXTEND, PHASE_TROUBLE };
+enum phase { // the machine runs from PROBE to EXTEND
+    PHASE_NONE,
+    PHASE_FOCUS,
+    PHASE_WAIT,
+    PHASE_PROBE,
+    PHASE_SHOOT,
+    PHASE_EXTEND,
+    PHASE_TROUBLE
+};
+
+enum { SESSION_STARTS = 64 };
+
+/* When the last frames of a camera that waits began, by its clock. */
+struct frame_starts {
+    int skip; // frames to pass over first
+    int n;
+    int64_t ns[SESSION_STARTS]; // oldest first
+    double len;                 // of a frame, ns, as before a shift by `len_n` frames
+    int len_n;
+    bool fixed; // the length of frames cannot be changed
+};
 
 /* Observation of one camera's light after something went wrong. */
 struct trouble {
@@ -34,6 +56,7 @@ struct cam {
     struct frame_buffer roll;
     int n_before; // frames of former plans of this take
     struct trouble trouble;
+    struct frame_starts starts;
 };
 
 struct session {
@@ -52,7 +75,7 @@ struct session {
     struct clocks trigger;
     int frames_used, rejected;
     bool tried;       // why it failed was looked for, once per take
-    int64_t until_ns; // and so long; of PHASE_FOCUS: when to look again
+    int64_t until_ns; // and so long; of PHASE_FOCUS: when to look again, of PHASE_WAIT: to begin
     char reason[TAKE_TEXT], note[TAKE_TEXT];
 };
 
@@ -89,6 +112,23 @@ MUST_USE err_t session_machine_arm_all(struct session *s);
 /* Every camera's camera_ops.focus; they are armed again at the end of PHASE_FOCUS.
  * err:  as that, ERR_LOST, as session_machine_arm */
 MUST_USE err_t session_focus(struct session *s, bool again);
+
+/* ---- session_start.c ---- */
+
+/* Notes a frame of a camera that waits; forgets all of them, as its exposure changes. */
+void session_start_see(struct session *s, int camera, const struct frame *f, int64_t now);
+void session_start_forget(struct cam *c);
+
+/* PHASE_WAIT begins: until order.start_ns is so near that the plan must begin.
+ * err:  as session_machine_arm */
+MUST_USE err_t session_start_begin(struct session *s);
+
+/* Whether the camera has seen every frame that ends before the plan begins. */
+bool session_start_due(const struct session *s, int camera);
+
+/* Sets when to begin by what is known of the frames now, and aligns cameras that can be.
+ * err:  ERR_AGAIN (not yet), ERR_LOST */
+MUST_USE err_t session_start_wait(struct session *s);
 
 /* ---- session_trouble.c ---- */
 

@@ -9,8 +9,6 @@
 
 #include <math.h>
 
-enum { SETTLE = 12 }; // frames until a request is surely in force
-
 #define BASE_S 0.01 // exposure while armed, to begin with
 
 int64_t session_machine_now(const struct session *s)
@@ -156,7 +154,8 @@ err_t session_machine_arm(struct session *s, int i, double base_s)
     ev.now_ns = backends_now(c->ops, c->st);
     ev.set = c->set;
     c->looked = false;
-    c->look_ns = ev.now_ns + (int64_t)(SETTLE * fmax(info->period_s, c->set.time_s) * 1e9);
+    session_start_forget(c);
+    c->look_ns = ev.now_ns + (int64_t)(SESSION_SETTLE * fmax(info->period_s, c->set.time_s) * 1e9);
     return session_machine_event(s, &ev, NULL);
 }
 

@@ -10,7 +10,7 @@
 #include <math.h>
 #include <stdio.h>
 
-enum { SETTLE = 12, LONG_FRAMES = 6, EACH = 2 }; // frames: until in force; to average; of each time
+enum { LONG_FRAMES = 6, EACH = 2 }; // frames: to average; of each time
 static const double shorter[FLICKER_FRAMES / EACH] = {0.25, 0.5, 0.125, 0.35}; // shares of LONG_S
 
 #define SECOND INT64_C(1000000000)
@@ -29,7 +29,7 @@ static err_t arm_probe(struct session *s, int i, double time_s)
 {
     struct trouble *t = &s->cam[i].trouble;
     t->time_s = time_s;
-    t->wait = SETTLE;
+    t->wait = SESSION_SETTLE;
     return session_machine_arm(s, i, time_s);
 }
 
@@ -45,7 +45,7 @@ err_t session_trouble_begin(struct session *s)
         longest = fmax(longest, fmax(c->about.info.period_s, c->set.time_s));
         e = arm_probe(s, i, LONG_S);
     }
-    double frames = 2.0 * ((1 + FLICKER_FRAMES / EACH) * (SETTLE + EACH) + LONG_FRAMES);
+    double frames = 2.0 * ((1 + FLICKER_FRAMES / EACH) * (SESSION_SETTLE + EACH) + LONG_FRAMES);
     s->until_ns =
         session_machine_now(s) + (int64_t)((frames * longest + PATIENCE_S) * (double)SECOND);
     return e;

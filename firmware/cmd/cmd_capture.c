@@ -36,6 +36,7 @@ static err_t make_order(const struct request *q, struct session_order *o)
     err_t e = OK;
     *o = (struct session_order){.mode = SESSION_AUTO,
                                 .stagger = q->stagger,
+                                .turn = -1,
                                 .verify = true,
                                 .snr = pow(10, q->cfg.bracket_snr_db / 20.0)};
     if (strcmp(stops, "auto") != 0) {

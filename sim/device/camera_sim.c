@@ -229,6 +229,7 @@ static err_t start_feed(struct state *s, const struct camera_cfg *cfg, const str
                                  .bits = rgb ? 8 : s->sensor.bits,
                                  .black = rgb ? 0 : s->sensor.black,
                                  .format = format[o->format],
+                                 .line_s = o->line_us * 1e-6,
                                  .expose = expose_frame};
     snprintf(source.unit, sizeof source.unit, "sim-%lld-%lld-%d-%g", (long long)o->seed,
              (long long)o->view, o->curve, s->curve.param);
@@ -275,6 +276,7 @@ const struct camera_ops camera_sim = {.name = "sim",
                                       .info = feed_info,
                                       .fd = feed_fd,
                                       .request = feed_request,
+                                      .shift = feed_shift,
                                       .next = feed_next,
                                       .release = feed_release,
                                       .now = feed_own_now};

@@ -17,6 +17,7 @@
 #include <unistd.h>
 
 #define VIRTUAL_START 1000000000 // ns
+#define SHIFT_STEP_S 1e-6        // where the time of a row is not known
 #define UNSETTLED 0.3            // part of the exposure, in frames before `startup`
 #define TORN_LEAST 0.03          // share of the rows
 #define TORN_MOST 0.45
@@ -45,6 +46,9 @@ const struct uri_key feed_keys[] = {
     {"gainmax", AT(gain_max), URI_REAL, 1, 64, NULL},
     {"first", AT(first_us), URI_REAL, 0.1, 3600e6, NULL}, // us, exposure time at open
     {"startup", AT(startup), URI_WHOLE, 0, 1000, NULL},   // frames wrongly exposed at first
+    {"drift", AT(drift_ppm), URI_REAL, -1e4, 1e4, NULL},  // ppm, that frames are longer
+    {"wobble", AT(wobble_us), URI_REAL, 0, 1e6, NULL},    // us, that frames start early or late
+    {"shift", AT(shift), URI_WORD, 0, 0, "no|yes"},       // whether a frame can be lengthened
 };
 const int feed_n_keys = (int)(sizeof feed_keys / sizeof feed_keys[0]);
 const int feed_n_common = 12;
@@ -154,6 +158,8 @@ static err_t make_slots(struct feed *f, int n)
 static struct timing_cfg timing_of(const struct feed_options *o)
 {
     return (struct timing_cfg){.period_s = 1.0 / o->fps,
+                               .drift = o->drift_ppm * 1e-6,
+                               .wobble_s = fmin(o->wobble_us * 1e-6, 0.25 / o->fps),
                                .step_s = o->step_us * 1e-6,
                                .longest_s = o->longest_us * 1e-6,
                                .gain_max = o->gain_max,
@@ -520,6 +526,23 @@ err_t feed_request(void *st, const struct exposure *requested, struct exposure *
     return OK;
 }
 
+err_t feed_shift(void *st, double seconds, double *shift)
+{
+    struct feed *f = st;
+    double step = f->source.line_s > 0.0 ? f->source.line_s : SHIFT_STEP_S;
+    if (!f->opt.shift)
+        return err_fail(ERR_UNSUPPORTED, "simulated camera: the length of frames is fixed");
+    if (!f->lost && !node_missing(f))
+        finish_due_frames(f);
+    if (f->lost || node_missing(f))
+        return fail_unplugged(f);
+    double s = floor(fmin(fmax(seconds, 0.0), f->timing.cfg.period_s) / step + 0.5) * step;
+    if (!timing_shift(&f->timing, (int64_t)llround(s * 1e9)))
+        return err_fail(ERR_BUSY, "simulated camera: a frame is still to be lengthened");
+    *shift = s;
+    return OK;
+}
+
 static struct feed_item take_frame(struct feed *f)
 {
     struct feed_item item = f->item[0];
@@ -541,8 +564,9 @@ static void write_truth(const struct feed *f, const struct frame *out, const str
 {
     if (!f->truth)
         return;
-    fprintf(f->truth, "%u %lld %lld %.9g %.9g %.3g\n", out->sequence, (long long)out->timestamp_ns,
-            (long long)t->number, t->exposure.time_s, t->exposure.gain, t->torn);
+    fprintf(f->truth, "%u %lld %lld %.9g %.9g %.3g %lld\n", out->sequence,
+            (long long)out->timestamp_ns, (long long)t->number, t->exposure.time_s,
+            t->exposure.gain, t->torn, (long long)t->start_ns);
     fflush(f->truth);
 }
 
@@ -571,7 +595,8 @@ static void fill_frame(struct feed *f, const struct feed_item *item, int i, stru
     }
     slot->held = true;
     f->n_held++;
-    slot->truth = (struct feed_truth){item->shot.number, item->shot.exposure, fabs(item->torn)};
+    slot->truth = (struct feed_truth){item->shot.number, item->shot.exposure, fabs(item->torn),
+                                      f->base_ns + llround(item->shot.start_s * 1e9)};
     slot->truth.exposure.gain *= item->shot.digital;
     write_truth(f, out, &slot->truth);
 }

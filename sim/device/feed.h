@@ -1,7 +1,7 @@
 /* feed.h - the common part of simulated cameras: clock, control timing, buffers, faults, truth. A
  * backend adds the pixels.
- * The state of a backend begins with struct feed; feed_fd, feed_request, feed_next, feed_release,
- * feed_info and feed_own_now are entries of its camera_ops.
+ * The state of a backend begins with struct feed; feed_fd, feed_request, feed_shift, feed_next,
+ * feed_release, feed_info and feed_own_now are entries of its camera_ops.
  * Clocks. Real: frames end by CLOCK_MONOTONIC; those without a free buffer are lost and leave a
  * gap in the sequence. Virtual: time passes only in feed_next, which
  * goes to the end of the running frame when no frame is queued; a frame of 1 s takes no time. The
@@ -23,9 +23,9 @@ enum feed_metadata { FEED_CORRECT, FEED_ABSENT, FEED_LATE };
 
 /* Options that the URI of every simulated camera may have; feed_keys documents them. */
 struct feed_options {
-    double fps, step_us, longest_us, gain_max, first_us, skew_us;
+    double fps, step_us, longest_us, gain_max, first_us, skew_us, drift_ppm, wobble_us;
     int64_t delay, gain_delay, jitter, claim, startup;
-    int length, readback, metadata, virtual, stamp;
+    int length, readback, metadata, virtual, stamp, shift;
     char faults[URI_TEXT], truth[URI_TEXT], node[URI_TEXT];
 };
 
@@ -50,6 +50,7 @@ struct feed_source {
     int w, h, bytes_per_px, bits, black;
     enum camera_format format;
     double time_min_s; // 0: the step of exposure times
+    double line_s;     // time of a row; 0: not known
     char unit[CAMERA_UNIT_CAP];
     /* Fill px (stride w * bytes_per_px). May fail only for lack of memory. */
     MUST_USE err_t (*expose)(void *ctx, const struct feed_shot *shot, uint8_t *px);
@@ -63,6 +64,7 @@ struct feed_truth {
     int64_t number;           // number of the sensor's frame that gave the pixels
     struct exposure exposure; // with digital gain and drift in `gain`
     double torn;              // share of its rows that visibly have another exposure
+    int64_t start_ns;         // when its exposure began
 };
 
 struct feed_item {                 // a queued frame
@@ -121,6 +123,7 @@ void feed_close(struct feed *f); // accepts a zeroed one
 void feed_info(const void *st, struct camera_info *out);
 int feed_fd(const void *st);
 MUST_USE err_t feed_request(void *st, const struct exposure *requested, struct exposure *set);
+MUST_USE err_t feed_shift(void *st, double seconds, double *shift);
 MUST_USE err_t feed_next(void *st, struct frame *out);
 void feed_release(void *st, struct frame *f);
 

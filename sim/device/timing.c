@@ -8,6 +8,8 @@
 #include <math.h>
 #include <string.h>
 
+#define WOBBLE_KEY (UINT64_C(1) << 32)
+
 double timing_time(const struct timing_cfg *c, double time_s)
 {
     double longest = c->longest_s;
@@ -45,14 +47,25 @@ static void control_step(struct timing_control *c, int64_t frame)
     c->n -= k;
 }
 
+static int64_t wobble_of(const struct timing *t, int64_t number)
+{
+    double share = 2.0 * sensor_uniform(t->cfg.seed + WOBBLE_KEY, (uint64_t)number) - 1.0;
+    return (int64_t)(t->cfg.wobble_s * share * 1e9);
+}
+
 static void frame_begin(struct timing *t, int64_t number, int64_t start_ns)
 {
     control_step(&t->time, number);
     control_step(&t->gain, number);
-    double length = t->cfg.period_s;
+    double length = t->cfg.period_s * (1.0 + t->cfg.drift);
     if (t->cfg.length == TIMING_STRETCH)
-        length = fmax(length, t->time.value);
-    t->now = (struct timing_frame){number, start_ns, start_ns + (int64_t)llround(length * 1e9),
+        length = fmax(length, t->time.value + 2.0 * t->cfg.wobble_s);
+    t->grid_ns += (int64_t)llround(length * 1e9);
+    if (number >= t->shift_from) {
+        t->grid_ns += t->shift_ns;
+        t->shift_ns = 0;
+    }
+    t->now = (struct timing_frame){number, start_ns, t->grid_ns + wobble_of(t, number + 1),
                                    t->time.value, t->gain.value};
 }
 
@@ -62,6 +75,7 @@ void timing_open(struct timing *t, const struct timing_cfg *cfg, int64_t start_n
     t->cfg = *cfg;
     t->time.value = timing_time(cfg, time_s);
     t->gain.value = 1.0;
+    t->grid_ns = start_ns;
     frame_begin(t, 0, start_ns);
 }
 
@@ -70,6 +84,15 @@ void timing_write(struct timing *t, double time_s, double gain)
     int late = (int)(sensor_uniform(t->cfg.seed, t->writes++) * (t->cfg.jitter + 1));
     control_write(&t->time, t->now.number + t->cfg.delay + late, timing_time(&t->cfg, time_s));
     control_write(&t->gain, t->now.number + t->cfg.gain_delay + late, timing_gain(&t->cfg, gain));
+}
+
+bool timing_shift(struct timing *t, int64_t ns)
+{
+    if (t->shift_ns > 0)
+        return false;
+    t->shift_from = t->now.number + t->cfg.delay;
+    t->shift_ns = ns;
+    return true;
 }
 
 struct timing_frame timing_step(struct timing *t)
@@ -83,4 +106,5 @@ void timing_stall(struct timing *t, int64_t ns)
 {
     t->now.start_ns += ns;
     t->now.end_ns += ns;
+    t->grid_ns += ns;
 }

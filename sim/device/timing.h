@@ -1,10 +1,12 @@
 /* timing.h - when the frames of a free-running sensor begin, and with which exposure and gain.
  * A control written during frame n applies from frame n + delay on (+ 0..jitter, but never before
  * an earlier write). A frame that runs is not cut short. Frames follow each other without a gap.
+ * The sensor's clock may run slow, and the starts of frames may wobble around its grid.
  * Pure; any thread. */
 #ifndef DEVICE_TIMING_H
 #define DEVICE_TIMING_H
 
+#include <stdbool.h>
 #include <stdint.h>
 
 enum { TIMING_DELAY_MAX = 32, TIMING_PENDING = 2 * TIMING_DELAY_MAX + 2 };
@@ -21,7 +23,9 @@ struct timing_cfg {
     double gain_max;               // >= 1
     int delay, gain_delay, jitter; // frames; 1..TIMING_DELAY_MAX, 0..TIMING_DELAY_MAX
     enum timing_length length;
-    uint64_t seed; // seed of the jitter
+    double drift;    // share by which frames are longer than they should be
+    double wobble_s; // frames start within +-wobble_s of the grid, 0..period_s / 4
+    uint64_t seed;   // seed of jitter and wobble
 };
 
 /* A control and the writes that do not apply yet. */
@@ -42,7 +46,9 @@ struct timing_frame {
 struct timing {
     struct timing_cfg cfg;
     struct timing_control time, gain;
-    struct timing_frame now; // the frame that runs
+    struct timing_frame now;      // the frame that runs
+    int64_t grid_ns;              // when the next one would start without wobble
+    int64_t shift_from, shift_ns; // frame to lengthen, if shift_ns > 0
     uint64_t writes;
 };
 
@@ -55,6 +61,9 @@ double timing_gain(const struct timing_cfg *c, double gain);
 
 /* Write both controls during the frame that runs. */
 void timing_write(struct timing *t, double time_s, double gain);
+
+/* Lengthen the frame that a control written now applies to; false: one is still to be lengthened. */
+bool timing_shift(struct timing *t, int64_t ns);
 
 /* Finish the frame that runs and begin the next one.
  * out: the finished one. */

@@ -16,6 +16,7 @@
 struct rig_truth {
     bool found;
     double exposure_s, torn; // time x gain; share of its rows
+    int64_t start_ns;        // of its exposure
 };
 
 static inline struct rig_truth rig_truth(int camera, const struct take_frame *frame)
@@ -26,15 +27,15 @@ static inline struct rig_truth rig_truth(int camera, const struct take_frame *fr
     FILE *f = fopen(tmpdir_path(name), "r");
     while (f && fgets(line, sizeof line, f)) {
         unsigned sequence;
-        long long ns, number;
+        long long ns, number, start;
         double time, gain, torn;
-        int n =
-            sscanf(line, "%u %lld %lld %lf %lf %lf", &sequence, &ns, &number, &time, &gain, &torn);
+        int n = sscanf(line, "%u %lld %lld %lf %lf %lf %lld", &sequence, &ns, &number, &time, &gain,
+                       &torn, &start);
         bool same =
-            n == 6 && sequence == frame->evidence.sequence && ns == frame->evidence.timestamp_ns;
+            n == 7 && sequence == frame->evidence.sequence && ns == frame->evidence.timestamp_ns;
         double off = fabs(take_exposure_s(frame) - time * gain);
         if (same && (!out.found || off < fabs(take_exposure_s(frame) - out.exposure_s)))
-            out = (struct rig_truth){true, time * gain, torn};
+            out = (struct rig_truth){true, time * gain, torn, start};
     }
     if (f)
         fclose(f);

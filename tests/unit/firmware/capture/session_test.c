@@ -134,8 +134,12 @@ static void metered_with_two_cameras(void **state)
 static void stagger_gives_every_camera_one(void **state)
 {
     (void)state;
-    struct session_order o = {
-        .mode = SESSION_LIST, .n = 3, .ev = {-2, 0, 2}, .middle_s = 0.004, .stagger = true};
+    struct session_order o = {.mode = SESSION_LIST,
+                              .n = 3,
+                              .ev = {-2, 0, 2},
+                              .middle_s = 0.004,
+                              .stagger = true,
+                              .turn = -1};
     int seen[3][3] = {{0}};
     assert_int_equal(open_rig(3, VIRTUAL), OK);
     for (int k = 0; k < 3; k++) {

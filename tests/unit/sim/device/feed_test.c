@@ -194,15 +194,16 @@ static void test_truth_file(void **state)
     assert_non_null(f);
     for (int i = 0; i < 5; i++) {
         unsigned sequence;
-        long long stamp, number;
+        long long stamp, number, start;
         double time_s, gain, torn;
         if (ev[i].code)
             continue;
-        assert_int_equal(fscanf(f, "%u %lld %lld %lf %lf %lf", &sequence, &stamp, &number, &time_s,
-                                &gain, &torn),
-                         6);
+        assert_int_equal(fscanf(f, "%u %lld %lld %lf %lf %lf %lld", &sequence, &stamp, &number,
+                                &time_s, &gain, &torn, &start),
+                         7);
         assert_true(sequence == ev[i].f.sequence && stamp == ev[i].f.timestamp_ns);
         assert_true(number == ev[i].truth.number && gain == 1.0 && torn == 0.0);
+        assert_true(start == stamp && start == ev[i].truth.start_ns);
         assert_true(near(time_s, ev[i].truth.exposure.time_s, 1e-9));
     }
     assert_int_equal(fgetc(f), '\n');

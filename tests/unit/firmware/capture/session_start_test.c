@@ -1,0 +1,161 @@
+/* Takes that begin at a given time, by simulated cameras of any phase, clock and delay: when the
+ * first frame of the plan really began, by the simulator. */
+#include "tests/unit/firmware/capture/session_rig.h"
+
+#include "firmware/capture/session_inner.h"
+
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <stdlib.h>
+#include <unistd.h>
+
+#include <cmocka.h>
+
+#define SECOND INT64_C(1000000000)
+#define PERIOD_NS 33333333.0
+#define SIM "sim:kind=room,seed=5,size=56,samples=1,shadow=1,fps=30,clock=virtual"
+
+static struct session *s;
+static char uri[3][1024];
+static unsigned dice = 1;
+
+static int set_up(void **state)
+{
+    (void)state;
+    tmpdir_make();
+    s = NULL;
+    return 0;
+}
+
+static int tear_down(void **state)
+{
+    (void)state;
+    session_close(s);
+    tmpdir_remove();
+    return 0;
+}
+
+static double rolled(double lo, double hi)
+{
+    dice = dice * 1664525u + 1013904223u;
+    return lo + (hi - lo) * (dice >> 8) / (double)(1 << 24);
+}
+
+static void open_rig(int n, const char *options)
+{
+    struct session_config c = {.n = n};
+    session_close(s);
+    for (int i = 0; i < n; i++) {
+        char name[16];
+        snprintf(name, sizeof name, "truth%d", i);
+        remove(tmpdir_path(name));
+        snprintf(uri[i], sizeof uri[i], SIM ",views=4,view=%d,truth=%s,skew=%.3f,drift=%.3f,%s", i,
+                 tmpdir_path(name), rolled(0, 33333), rolled(-100, 100), options);
+        c.uri[i] = uri[i];
+    }
+    if (session_open(&c, &s) != OK)
+        fail_msg("%s", err_text());
+    for (int i = 0; i < 500 && !session_settled(s); i++)
+        assert_int_equal(rig_turn(s), OK);
+}
+
+static struct take *run_take(const struct session_order *o)
+{
+    struct take *t;
+    if (session_begin(s, o) != OK)
+        fail_msg("%s", err_text());
+    for (int i = 0; i < 5000 && session_state(s) != SESSION_READY; i++)
+        assert_int_equal(rig_turn(s), OK);
+    assert_int_equal(session_collect(s, &t), OK);
+    if (t->status != TAKE_COMPLETE)
+        fail_msg("%s: %s", uri[0], t->reason);
+    return t;
+}
+
+/* A list whose first exposure is the only one of its length, to begin after lo..hi frames. */
+static struct session_order order_in(double lo, double hi)
+{
+    struct session_order o = {.mode = SESSION_LIST, .n = (int)rolled(1, 3.99)};
+    double first = rolled(-1, 1);
+    o.middle_s = rolled(0.002, 0.008);
+    for (int k = 0; k < o.n; k++)
+        o.ev[k] = first + k * (dice & 64 ? 1.5 : -1.5);
+    o.start_ns = session_machine_now(s) + (int64_t)(rolled(lo, hi) * PERIOD_NS);
+    return o;
+}
+
+/* The largest error of all cameras, ns; what is recorded is the truth. */
+static double start_error(const struct take *t, const struct session_order *o)
+{
+    double worst = 0;
+    int seen = 0;
+    for (int i = 0; i < t->n; i++) {
+        const struct take_frame *f = &t->frame[i];
+        double first_s = o->middle_s * exp2(o->ev[0]);
+        struct rig_truth truth = rig_truth(f->camera, f);
+        assert_true(truth.found);
+        if (llabs(truth.start_ns - f->evidence.start_ns) > 10)
+            fail_msg("recorded %lld, true %lld", (long long)f->evidence.start_ns,
+                     (long long)truth.start_ns);
+        if (fabs(log2(f->evidence.requested.time_s / first_s)) > 0.1)
+            continue;
+        worst = fmax(worst, fabs((double)(truth.start_ns - o->start_ns)));
+        seen++;
+    }
+    assert_int_equal(seen, t->n_cameras);
+    return worst;
+}
+
+/* Starts takes with rigs of 1 to 3 cameras. Returns the largest error, ns. */
+static double worst_of(int rigs, int takes, double lead, const char *options)
+{
+    double worst = 0, sum = 0;
+    for (int k = 0; k < rigs; k++) {
+        char text[256];
+        snprintf(text, sizeof text, "delay=%d,stamp=%s,metadata=%s,%s", k % 3 + 1,
+                 k % 2 ? "end" : "start", k % 5 == 4 ? "absent" : "correct", options);
+        open_rig(k / 6 % 3 + 1, text);
+        for (int i = 0; i < takes; i++) {
+            struct session_order o = order_in(lead, 1.7 * lead);
+            struct take *t = run_take(&o);
+            double off = start_error(t, &o);
+            worst = fmax(worst, off);
+            sum += off;
+            take_free(t);
+        }
+    }
+    print_message("%s: %.1f us at most, %.1f us on average\n", options, worst * 1e-3,
+                  sum * 1e-3 / (rigs * takes));
+    return worst;
+}
+
+static void within_half_a_frame(void **state)
+{
+    (void)state;
+    assert_true(worst_of(36, 6, 40, "shift=no") <= 0.5 * PERIOD_NS * 1.0002);
+}
+
+static void aligned(void **state)
+{
+    (void)state;
+    assert_true(worst_of(36, 3, 70, "shift=yes") <= 100e3);
+    assert_true(worst_of(18, 3, 70, "shift=yes,line=40") <= 100e3);
+}
+
+static void aligned_with_wobble(void **state)
+{
+    (void)state;
+    assert_true(worst_of(18, 2, 140, "shift=yes,wobble=200") <= 400e3);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test_setup_teardown(within_half_a_frame, set_up, tear_down),
+        cmocka_unit_test_setup_teardown(aligned, set_up, tear_down),
+        cmocka_unit_test_setup_teardown(aligned_with_wobble, set_up, tear_down),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}
