@@ -215,6 +215,20 @@ static err_t read_text(const char *what, const char *text, size_t n, struct part
     return e;
 }
 
+err_t part_parse(const char *what, const char *text, size_t n, const char *id, const char *member,
+                 struct part *out)
+{
+    memset(out, 0, sizeof *out);
+    err_t e = manifest_parse(what, text, n, &out->manifest);
+    if (!e)
+        e = check_whose(what, &out->manifest, id, member);
+    if (!e)
+        e = read_text(what, text, n, out);
+    if (e)
+        part_free(out);
+    return e;
+}
+
 err_t part_read(const struct store_fs *fs, const char *dir, const char *id, const char *member,
                 struct part *out)
 {
@@ -229,14 +243,8 @@ err_t part_read(const struct store_fs *fs, const char *dir, const char *id, cons
         return err_fail(ERR_NOMEM, "%s: no memory to read it", path);
     e = store_fs_read(fs, path, text, JSON_BYTES_MAX + 1, &n);
     if (!e)
-        e = manifest_parse(path, text, n, &out->manifest);
-    if (!e)
-        e = check_whose(path, &out->manifest, id, member);
-    if (!e)
-        e = read_text(path, text, n, out);
+        e = part_parse(path, text, n, id, member, out);
     free(text);
-    if (e)
-        part_free(out);
     return e;
 }
 

@@ -36,6 +36,10 @@ struct part {
  * err:  ERR_FORMAT, ERR_IO, ERR_NOMEM. On error there is nothing to free. */
 MUST_USE err_t part_read(const struct store_fs *fs, const char *dir, const char *id,
                          const char *member, struct part *out);
+
+/* The same of n bytes of text; `what` begins the sentence. */
+MUST_USE err_t part_parse(const char *what, const char *text, size_t n, const char *id,
+                          const char *member, struct part *out);
 void part_free(struct part *p);
 
 /* Name of a file of the part in the joint take, where `base` cameras come before its own. */

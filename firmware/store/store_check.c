@@ -7,8 +7,6 @@
 #include <stdlib.h>
 #include <string.h>
 
-const char *const store_folders[STORE_FOLDERS] = {"", "images", "raw", "merged"};
-
 err_t store_check_listed(const struct manifest *m, const char *dir, const char *folder)
 {
     char path[FILE_PATH_CAP], name[MANIFEST_NAME_CAP + 256];

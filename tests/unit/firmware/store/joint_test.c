@@ -143,19 +143,10 @@ static struct raw_take *read_raw(const char *id)
 
 /* ---- takes that become one ---- */
 
-static void two_boards(void **state)
+/* A take of two boards, with two cameras and one. */
+static void commit_two(struct store *s, char id[STORE_ID_CAP])
 {
-    (void)state;
-    char id[STORE_ID_CAP], ids[4][STORE_ID_CAP], *text;
-    struct store *s = open_in(folder, 0);
-    struct summary sum;
-    struct exposures x;
     begin(s, id);
-    assert_int_equal(joint_pending(folder, ids, 4), 1);
-    assert_string_equal(ids[0], id);
-    expect_ok(joint_order(folder, id, &text));
-    assert_string_equal(text, "{\"ordered\": true}");
-    free(text);
     struct take *t = small_part(2, 3, CAMERA_RGGB16, id, "b0");
     strcpy(t->reason, "coverage: \"dark\"");
     strcpy(t->camera[0].uri, "v4l2:\"caf\xc3\xa9\"\n");
@@ -171,46 +162,21 @@ static void two_boards(void **state)
     crf_srgb(&t->camera[0].crf);
     stage(s, t, id);
     expect_ok(join(s, id, 2));
+}
+
+/* What downstream makes of it. */
+static void two_boards(void **state)
+{
+    (void)state;
+    char id[STORE_ID_CAP], ids[4][STORE_ID_CAP];
+    struct store *s = open_in(folder, 0);
+    struct summary sum;
+    struct exposures x;
+    commit_two(s, id);
     expect_ok(store_verify(in("", id, "")));
     assert_int_equal(links, 3 * 3 * 2 + 3);
     assert_int_equal(joint_pending(folder, ids, 4), 0);
     assert_int_equal(entries(folder), 2); // with the counter
-
-    struct cJSON *doc;
-    double v;
-    bool yes;
-    expect_ok(json_read(in("", id, MANIFEST_FILE), &doc));
-    assert_string_equal(json_string(json_member(doc, "id")), id);
-    assert_string_equal(json_string(json_member(doc, "status")), "complete");
-    assert_string_equal(json_string(json_member(doc, "reason")), "b0: coverage: \"dark\"");
-    assert_true(json_number(json_member(doc, "skew_s"), &v) && fabs(v - 0.005001) < 1e-12);
-    assert_true(json_number(json_member(doc, "tolerance_stops"), &v) && v == 0.25);
-    assert_true(json_number(json_member(doc, "rejected"), &v) && v == 7);
-    assert_true(json_number(json_member(doc, "frames_used"), &v) && v == 20);
-    assert_true(json_truth(json_member(doc, "stagger"), &yes) && yes);
-    assert_true(json_truth(json_member(doc, "metered"), &yes) && yes);
-    assert_string_equal(json_string(json_member(json_member(doc, "trigger"), "boottime_ns")), "22");
-    const struct cJSON *rig = json_member(doc, "rig");
-    const struct cJSON *board = json_first(json_member(rig, "members"));
-    assert_string_equal(json_string(json_member(rig, "take")), id);
-    assert_string_equal(json_string(json_member(board, "name")), "b0");
-    assert_string_equal(json_string(json_member(board, "within_ns")), "70005");
-    assert_string_equal(json_string(json_member(board, "clock")), "exchange");
-    assert_string_equal(json_string(json_member(json_next(board), "name")), "b1");
-    const struct cJSON *c = json_first(json_member(doc, "cameras"));
-    assert_string_equal(json_string(json_member(c, "uri")), "v4l2:\"caf\xc3\x83\xc2\xa9\"\n");
-    assert_string_equal(json_string(json_member(c, "member")), "b0");
-    c = json_next(json_next(c));
-    assert_string_equal(json_string(json_member(c, "member")), "b1");
-    assert_int_equal(json_count(json_member(json_member(c, "crf"), "log2x")), 3);
-    const struct cJSON *f = json_first(json_member(doc, "frames"));
-    for (int i = 0; i < 8; i++)
-        f = json_next(f);
-    assert_string_equal(json_string(json_member(f, "raw")), "raw/02_02.bin");
-    assert_string_equal(json_string(json_member(f, "timestamp_ns")), "9007199254740993");
-    assert_true(json_number(json_member(f, "sequence"), &v) && v == 4000000002.0);
-    json_free(doc);
-
     struct raw_take *raw = read_raw(id);
     assert_int_equal(raw->n_cameras, 3);
     assert_int_equal(raw->n, 9);
@@ -232,6 +198,83 @@ static void two_boards(void **state)
     assert_int_equal(set.n_notes, 0);
     assert_true(set.capture.shots[8].raw && set.capture.shots[8].linear);
     imageset_free(&set);
+    store_close(s);
+}
+
+static const char *text_at(const struct cJSON *object, const char *key)
+{
+    const char *text = json_string(json_member(object, key));
+    return text ? text : "(none)";
+}
+
+static double number_at(const struct cJSON *object, const char *key)
+{
+    double v = NAN;
+    if (!json_number(json_member(object, key), &v))
+        fail_msg("no number %s", key);
+    return v;
+}
+
+static void says_everything(void **state)
+{
+    (void)state;
+    char id[STORE_ID_CAP];
+    struct store *s = open_in(folder, 0);
+    struct cJSON *doc;
+    bool yes;
+    commit_two(s, id);
+    expect_ok(json_read(in("", id, MANIFEST_FILE), &doc));
+    assert_string_equal(text_at(doc, "id"), id);
+    assert_string_equal(text_at(doc, "status"), "complete");
+    assert_string_equal(text_at(doc, "reason"), "b0: coverage: \"dark\"");
+    assert_true(fabs(number_at(doc, "skew_s") - 0.005001) < 1e-12);
+    assert_true(number_at(doc, "tolerance_stops") == 0.25);
+    assert_true(number_at(doc, "rejected") == 7);
+    assert_true(number_at(doc, "frames_used") == 20);
+    assert_true(json_truth(json_member(doc, "stagger"), &yes) && yes);
+    assert_true(json_truth(json_member(doc, "metered"), &yes) && yes);
+    assert_string_equal(text_at(json_member(doc, "trigger"), "boottime_ns"), "22");
+    const struct cJSON *rig = json_member(doc, "rig");
+    const struct cJSON *board = json_first(json_member(rig, "members"));
+    assert_string_equal(text_at(rig, "take"), id);
+    assert_string_equal(text_at(board, "name"), "b0");
+    assert_string_equal(text_at(board, "within_ns"), "70005");
+    assert_string_equal(text_at(board, "clock"), "exchange");
+    assert_string_equal(text_at(json_next(board), "name"), "b1");
+    const struct cJSON *c = json_first(json_member(doc, "cameras"));
+    assert_string_equal(text_at(c, "uri"), "v4l2:\"caf\xc3\x83\xc2\xa9\"\n");
+    assert_string_equal(text_at(c, "member"), "b0");
+    c = json_next(json_next(c));
+    assert_string_equal(text_at(c, "member"), "b1");
+    assert_int_equal(json_count(json_member(json_member(c, "crf"), "log2x")), 3);
+    const struct cJSON *f = json_first(json_member(doc, "frames"));
+    for (int i = 0; i < 8; i++)
+        f = json_next(f);
+    assert_string_equal(text_at(f, "raw"), "raw/02_02.bin");
+    assert_string_equal(text_at(f, "timestamp_ns"), "9007199254740993");
+    assert_true(number_at(f, "sequence") == 4000000002.0);
+    json_free(doc);
+    store_close(s);
+}
+
+static void orders(void **state)
+{
+    (void)state;
+    char id[2][STORE_ID_CAP], ids[4][STORE_ID_CAP], *text;
+    struct store *s = open_in(folder, 0);
+    begin(s, id[0]);
+    begin(s, id[1]);
+    assert_int_equal(joint_pending(folder, ids, 4), 2);
+    assert_string_equal(ids[0], id[1]);
+    assert_int_equal(joint_pending(folder, ids, 1), 1);
+    expect_ok(joint_order(folder, id[0], &text));
+    assert_string_equal(text, "{\"ordered\": true}");
+    free(text);
+    store_close(s);
+    s = open_in(folder, 0); // leaves them alone
+    assert_int_equal(joint_pending(folder, ids, 4), 2);
+    expect_ok(joint_drop(s, id[1]));
+    assert_int_equal(joint_pending(folder, ids, 4), 1);
     store_close(s);
 }
 
@@ -642,18 +685,11 @@ static void numbers_are_reserved(void **state)
 int main(void)
 {
 #define EACH(f) cmocka_unit_test_setup_teardown(f, setup, tmpdir_teardown)
-    const struct CMUnitTest tests[] = {EACH(two_boards),
-                                       EACH(sixteen_boards),
-                                       EACH(the_largest_rig),
-                                       EACH(missing_boards),
-                                       EACH(white_balances),
-                                       EACH(copies_without_links),
-                                       EACH(own_part),
-                                       EACH(spoiled_parts),
-                                       EACH(parts_of_others),
-                                       EACH(hostile_parts),
-                                       EACH(arguments),
-                                       EACH(parts_are_held),
-                                       EACH(numbers_are_reserved)};
+    const struct CMUnitTest tests[] = {
+        EACH(orders),         EACH(two_boards),           EACH(says_everything),
+        EACH(sixteen_boards), EACH(the_largest_rig),      EACH(missing_boards),
+        EACH(white_balances), EACH(copies_without_links), EACH(own_part),
+        EACH(spoiled_parts),  EACH(parts_of_others),      EACH(hostile_parts),
+        EACH(arguments),      EACH(parts_are_held),       EACH(numbers_are_reserved)};
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

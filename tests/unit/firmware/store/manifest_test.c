@@ -141,9 +141,69 @@ static void hostile_manifests(void **state)
     free(text);
 }
 
+/* Of a board's part, and of a joint take. */
+static void rigs(void **state)
+{
+    (void)state;
+    static struct manifest m;
+    char take[MANIFEST_ID_CAP], member[TAKE_MEMBER_CAP];
+    char *text = manifest_of(small_take(1, 1, CAMERA_GREY16));
+    assert_null(strstr(text, "\"rig\""));
+    assert_null(strstr(text, "common_ns"));
+    assert_false(manifest_part(text, strlen(text), take, member));
+    free(text);
+    struct take *t = small_take(1, 1, CAMERA_GREY16);
+    t->rig = (struct take_rig){"0123abcd-000042", "left-arm", "kernel"};
+    t->frame[0].common_ns = 1767323045000000001;
+    t->frame[0].within_ns = 250000;
+    text = manifest_of(t);
+    const size_t n = strlen(text);
+    expect_ok(manifest_parse("m", text, n, &m));
+    assert_true(m.complete && m.members == 0);
+    assert_string_equal(m.rig_take, "0123abcd-000042");
+    assert_string_equal(m.rig_member, "left-arm");
+    assert_non_null(strstr(text, "\"common_ns\": \"1767323045000000001\""));
+    assert_non_null(strstr(text, "\"within_ns\": \"250000\""));
+    assert_true(manifest_part(text, MANIFEST_HEAD, take, member));
+    assert_string_equal(take, "0123abcd-000042");
+    assert_string_equal(member, "left-arm");
+    for (size_t k = 0; k < 200; k++) // cut short anywhere
+        assert_false(manifest_part(text, k, take, member) && strcmp(member, "left-arm") != 0);
+    static const char rig[] =
+        "{\"take\": \"0123abcd-000042\", \"member\": \"left-arm\", \"clock\": \"kernel\"}";
+    with(text, rig, "[]", "rig is not an object");
+    with(text, rig, "{}", "has no key \"take\"");
+    with(text, "\"left-arm\"", "\"Left\"", "rig needs the id of a take, a member's name");
+    with(text, "\"left-arm\"", "\"\"", "rig needs the id of a take, a member's name");
+    with(text, "\"left-arm\"", "\"0123456789012345678901234567890x\"", "a member's name");
+    with(text, "\"0123abcd-000042\"", "\"../x\"", "rig needs the id of a take");
+    with(text, rig, "{\"take\": \"0123abcd-000042\", \"members\": [], \"missing\": []}",
+         "it is another take than its rig says");
+    const char *id = strstr(text, "\"id\": \"") + 6;
+    char joint[512];
+    static const char *const lists[][2] = {
+        {"[], \"missing\": []", "lists of 1 to 64 members"},
+        {"[{}], \"missing\": []", "has no key \"name\""},
+        {"[7], \"missing\": []", "is not an object"},
+        {"7, \"missing\": []", "lists of 1 to 64 members"},
+        {"[{\"name\": \"\", \"part\": 0, \"boot_id\": 0, \"cameras\": 0, \"clock\": 0, "
+         "\"within_ns\": 0}], \"missing\": []",
+         "a member of the rig has no name"},
+        {"[{\"name\": \"b\", \"part\": 0, \"boot_id\": 0, \"cameras\": 0, \"clock\": 0, "
+         "\"within_ns\": 0}], \"missing\": [\"-\"]",
+         "a missing member of the rig has no name"}};
+    for (size_t i = 0; i < sizeof lists / sizeof lists[0]; i++) {
+        snprintf(joint, sizeof joint, "{\"take\": %.*s, \"members\": %s}", (int)strcspn(id, ","),
+                 id, lists[i][0]);
+        with(text, rig, joint, lists[i][1]);
+    }
+    free(text);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
+        cmocka_unit_test_setup_teardown(rigs, tmpdir_setup, tmpdir_teardown),
         cmocka_unit_test_setup_teardown(gains, tmpdir_setup, tmpdir_teardown),
         cmocka_unit_test_setup_teardown(lens, tmpdir_setup, tmpdir_teardown),
         cmocka_unit_test_setup_teardown(hostile_manifests, tmpdir_setup, tmpdir_teardown)};
