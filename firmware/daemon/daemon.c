@@ -1,11 +1,12 @@
 /* Every turn of the loop collects descriptors and the nearest deadline, waits, and runs each part
  * once; no part blocks. A press becomes a take when the session is armed and the writer has room;
  * for a press in between trigger.busy is the policy. */
-#include "firmware/daemon/daemon_inner.h"
+#include "firmware/daemon/daemon.h"
 
 #include "drivers/device/clocks.h"
 #include "firmware/base/backends.h"
 #include "firmware/capture/schedule.h"
+#include "firmware/daemon/daemon_inner.h"
 
 #include "core/base/log.h"
 #include "drivers/format/file.h"

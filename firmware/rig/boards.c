@@ -1,3 +1,5 @@
+#include "firmware/rig/boards.h"
+
 #include "firmware/rig/boards_inner.h"
 
 #include "core/base/log.h"

@@ -1,6 +1,6 @@
-/* boards.h - the daemon's side of a rig of several boards: it connects the machines of member.h and
- * conductor.h with the broker, the store, the network and the daemon's cameras. A conductor that has
- * cameras is a member of its own rig, too.
+/* boards.h - the daemon's side of a rig of several boards: it connects the machines of member.h
+ * and conductor.h with the broker, the store, the network and the daemon's cameras. A conductor
+ * that has cameras is a member of its own rig, too.
  * thread: one, the daemon's. Nothing blocks but boards_open and boards_close. */
 #ifndef RIG_BOARDS_H
 #define RIG_BOARDS_H

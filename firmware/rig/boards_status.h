@@ -1,9 +1,9 @@
 /* boards_status.h - the rig in the daemon's status: the object "rig" of status.json.
  *   role, name, board, state, sentence, ready     of this board
  *   members[], takes[], last, views[]             of a conductor: boards and what they say of
- *                                                 themselves; takes that are not finished, by parts;
- *                                                 starts of the last take; cameras seen from above,
- *                                                 where rig.file has them
+ *                                                 themselves; unfinished takes, by parts; starts of
+ *                                                 the last take; cameras seen from above, where
+ *                                                 rig.file has them
  * thread: the daemon's. */
 #ifndef RIG_BOARDS_STATUS_H
 #define RIG_BOARDS_STATUS_H

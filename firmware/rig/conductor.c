@@ -1,3 +1,5 @@
+#include "firmware/rig/conductor.h"
+
 #include "firmware/rig/conductor_inner.h"
 
 #include <stdarg.h>
@@ -56,6 +58,48 @@ static void tell(struct conductor *c, const struct conductor_take *t, err_t err,
     a->err = err;
     memcpy(a->take, t->order.take, sizeof a->take);
     set_text(a->text, sizeof a->text, "%s", text);
+}
+
+static err_t check_all(const struct conductor *c, int64_t now_ns)
+{
+    int n = 0, cameras = 0;
+    for (int i = 0; i < c->n; i++) {
+        const struct conductor_member *m = &c->member[i];
+        if (!conductor_members_belongs(c, m) ||
+            (!m->said.online && !m->listed && c->cfg.set->rig_partial))
+            continue;
+        err_t e = conductor_members_check(c, m, now_ns);
+        if (e && !c->cfg.set->rig_partial)
+            return e;
+        n += !e;
+        cameras += e ? 0 : m->said.cameras;
+    }
+    if (!n)
+        return err_fail(ERR_LOST, "no member of the rig is ready");
+    if (cameras > MESSAGE_MEMBERS)
+        return err_fail(ERR_LIMIT, "the rig has %d cameras, at most %d are possible", cameras,
+                        MESSAGE_MEMBERS);
+    return OK;
+}
+
+err_t conductor_check(const struct conductor *c, int64_t now_ns)
+{
+    int used = 0;
+    for (int i = 0; i < CONDUCTOR_TAKES; i++)
+        used += c->take[i].phase != TAKE_FREE;
+    if (c->state == CONDUCTOR_REFUSED)
+        return err_fail(ERR_LOST, "%s leads this rig: a rig has one conductor", c->other);
+    if (c->state != CONDUCTOR_LEADS)
+        return err_fail(ERR_LOST, c->state == CONDUCTOR_OFF ? "the broker is not reached"
+                                                            : "begins to lead the rig");
+    if (c->current >= 0)
+        return err_fail(ERR_BUSY, "a capture runs");
+    if (used == CONDUCTOR_TAKES)
+        return err_fail(ERR_LIMIT,
+                        "%d captures wait for members: bring those back, or give captures up "
+                        "with hdrig rig forget ID",
+                        used);
+    return check_all(c, now_ns);
 }
 
 static struct conductor_take *free_take(struct conductor *c)

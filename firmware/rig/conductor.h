@@ -197,7 +197,4 @@ int64_t conductor_deadline(const struct conductor *c, int64_t now_ns);
 /* Why a press would be refused now; ERR_BUSY, ERR_LOST, ERR_LIMIT as above, or OK. */
 MUST_USE err_t conductor_check(const struct conductor *c, int64_t now_ns);
 
-/* Largest difference between starts of one index so far, ns. */
-int64_t conductor_skew(const struct conductor_take *t);
-
 #endif

@@ -29,6 +29,9 @@ double conductor_starts_s(const struct message_order *o);
 /* Enter the starts of part k. false: they are not of this take. */
 bool conductor_starts_add(struct conductor_take *t, int k, const struct message_report *r);
 
+/* Largest difference between starts of one index so far, ns. */
+int64_t conductor_starts_skew(const struct conductor_take *t);
+
 /* Whether cameras began an exposure farther apart than bracket.skew_ms, and which. */
 bool conductor_starts_apart(const struct conductor *c, const struct conductor_take *t,
                             char why[TAKE_TEXT]);

@@ -11,7 +11,7 @@ double conductor_starts_s(const struct message_order *o)
     return sum;
 }
 
-int64_t conductor_skew(const struct conductor_take *t)
+int64_t conductor_starts_skew(const struct conductor_take *t)
 {
     int64_t most = 0;
     for (int i = 0; i < BRACKET_EXPOSURES_MAX; i++)
@@ -24,9 +24,9 @@ int64_t conductor_skew(const struct conductor_take *t)
 static void describe_skew(const struct conductor_take *t, char *out, size_t cap)
 {
     for (int i = 0; i < BRACKET_EXPOSURES_MAX; i++)
-        if (t->has_start[i] && t->last_ns[i] - t->first_ns[i] == conductor_skew(t)) {
+        if (t->has_start[i] && t->last_ns[i] - t->first_ns[i] == conductor_starts_skew(t)) {
             snprintf(out, cap, "%s began exposure %d %.3g ms after %s", //
-                     t->order.member[t->last_of[i]], i + 1, (double)conductor_skew(t) * 1e-6,
+                     t->order.member[t->last_of[i]], i + 1, (double)conductor_starts_skew(t) * 1e-6,
                      t->order.member[t->first_of[i]]);
             return;
         }
@@ -61,7 +61,7 @@ bool conductor_starts_apart(const struct conductor *c, const struct conductor_ta
 {
     const int64_t limit = c->cfg.set->bracket_skew_ms * INT64_C(1000000);
     char apart[160];
-    if (!limit || conductor_skew(t) <= limit)
+    if (!limit || conductor_starts_skew(t) <= limit)
         return false;
     describe_skew(t, apart, sizeof apart);
     snprintf(why, TAKE_TEXT, "%s, bracket.skew_ms allows %d", apart, c->cfg.set->bracket_skew_ms);

@@ -5,7 +5,7 @@
  *   IDLE     -> METERING  order METER:  MEMBER_METER;  then METERED or FAILED is reported
  *   IDLE     -> SHOOTING  order SHOOT:  MEMBER_SHOOT;  then STORED or FAILED is reported
  *   METERING, SHOOTING -> IDLE   the work has ended; CANCEL only makes it end sooner
- *   any      -> AWAY      broker or conductor gone; work goes on, and is reported when they are back
+ *   any      -> AWAY      broker or conductor gone; work goes on and is reported when they are back
  *
  * Orders have a serial that rises within an epoch of the conductor. One that was seen is not done
  * again: its report is repeated. One of another epoch, for others, or older than one that was seen

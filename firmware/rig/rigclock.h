@@ -1,8 +1,8 @@
 /* rigclock.h - what a member knows of the rig's common clock: the conductor's time, which begins at
- * its CLOCK_REALTIME and then follows its CLOCK_MONOTONIC, so that it never steps. Bounds instead of
- * estimates: each exchange proves an interval for the offset to the member's CLOCK_MONOTONIC, and
- * intervals intersect. The wall clocks of boards may be wrong by years; where the kernels of both
- * say how well they are kept, that is one more interval, unless exchanges contradict it.
+ * its CLOCK_REALTIME and then follows its CLOCK_MONOTONIC, so that it never steps. Bounds instead
+ * of estimates: each exchange proves an interval for the offset to the member's CLOCK_MONOTONIC,
+ * and intervals intersect. The wall clocks of boards may be wrong by years; where the kernels of
+ * both say how well they are kept, that is one more interval, unless exchanges contradict it.
  * Pure; one thread. */
 #ifndef RIG_RIGCLOCK_H
 #define RIG_RIGCLOCK_H
