@@ -404,6 +404,9 @@ static void take_outcome(struct boards *b, const struct task *k)
                                  .text = k->text};
     if (k->err)
         log_warn("rig: %s%s%s", k->member, k->member[0] ? ": " : "", k->text);
+    else if (k->kind == TASK_FETCH)
+        log_info("rig: %s: %.3g MB from %s in %.3g s", k->take, (double)k->bytes * 1e-6, k->member,
+                 k->took_s);
     if (k->kind == TASK_RELEASE || k->kind == TASK_HOLDS) {
         member_holds(b, k);
     } else if (k->kind != TASK_CLEAR) {

@@ -16,7 +16,7 @@ struct boards {
     struct mqtt *mqtt;
     struct tasks *disk, *fetch; // fetch: of a conductor
     char broker[TAKE_TEXT];     // why it is not reached; "" if it is
-    char boot[MESSAGE_EPOCH_CAP], token[MESSAGE_TOKEN_CAP];
+    char boot[MESSAGE_EPOCH_CAP], epoch[MESSAGE_EPOCH_CAP], token[MESSAGE_TOKEN_CAP];
     int64_t heard_ns;      // when the present message was read
     int64_t press_sent_ns; // the last press of a member
     bool has_member, has_conductor;

@@ -105,11 +105,17 @@ void boards_open_token(char *out)
 
 static err_t open_mqtt(struct boards *b)
 {
-    char topic[MESSAGE_TOPIC_CAP], will[128], client[CONFIG_TEXT + 64], password[PASSWORD_MAX];
+    char topic[MESSAGE_TOPIC_CAP], will[160], client[CONFIG_TEXT + 64], password[PASSWORD_MAX];
     const bool leads = b->has_conductor;
     struct mqtt_url url;
-    message_topic(b->set->rig_name, MESSAGE_MEMBER, b->member.name, topic);
-    snprintf(will, sizeof will, "{\"online\": false, \"boot\": \"%s\"}", b->boot);
+    message_topic(b->set->rig_name, leads ? MESSAGE_CONDUCTOR : MESSAGE_MEMBER, b->member.name,
+                  topic);
+    if (leads) // epoch and board tell a later run of it from another conductor
+        snprintf(will, sizeof will,
+                 "{\"online\": false, \"epoch\": \"%s\", \"board\": \"%s\", \"version\": \"\"}",
+                 b->epoch, b->member.name);
+    else
+        snprintf(will, sizeof will, "{\"online\": false, \"boot\": \"%s\"}", b->boot);
     snprintf(client, sizeof client, "hdrig-%s-%s%s", b->set->rig_name, b->member.name,
              leads ? "-conductor" : "");
     err_t e = mqtt_parse_url(b->set->rig_broker, &url);
@@ -147,7 +153,7 @@ static err_t open_conductor(struct boards *b)
                                  .common_ns = now.realtime_ns - now.monotonic_ns,
                                  .has = has_joint,
                                  .ctx = b};
-    snprintf(c.epoch, sizeof c.epoch, "%016" PRIx64, (uint64_t)now.realtime_ns);
+    memcpy(c.epoch, b->epoch, sizeof c.epoch);
     memcpy(c.board, b->member.name, sizeof c.board);
     err_t e = conductor_init(&b->conductor, &c);
     if (!e)
@@ -192,6 +198,8 @@ err_t boards_open(const struct boards_config *cfg, struct boards **out)
     b->has_conductor = cfg->set->rig_role == CONFIG_CONDUCTOR;
     b->has_member = cfg->cameras > 0;
     put_random(b->boot, MESSAGE_EPOCH_CAP - 1);
+    snprintf(b->epoch, sizeof b->epoch, "%016" PRIx64,
+             (uint64_t)clocks_at(clocks_now()).realtime_ns);
     snprintf(b->token, sizeof b->token, "%s", cfg->token);
     snprintf(b->broker, sizeof b->broker, "the broker is not reached yet");
     err_t e = check_settings(cfg);

@@ -268,10 +268,11 @@ static bool has_failed(const struct conductor *c, struct conductor_take *t, char
     for (int k = 0; k < t->order.n; k++) {
         if (t->part[k] != PART_FAILED)
             continue;
-        set_text(why, TAKE_TEXT, "%s: %s", t->order.member[k], t->why[k]);
+        if (!t->stopped) // those that fail later were stopped for it
+            set_text(t->reason, sizeof t->reason, "%s: %s", t->order.member[k], t->why[k]);
+        memcpy(why, t->reason, TAKE_TEXT);
         if (!c->cfg.set->rig_partial || count_parts(t, PART_FAILED) == t->order.n)
             return true;
-        memcpy(t->reason, why, TAKE_TEXT);
     }
     return false;
 }
@@ -661,7 +662,8 @@ static err_t on_forget(struct conductor *c, const char *what)
 
 static void on_other(struct conductor *c, const struct message_conductor *o, int64_t now_ns)
 {
-    if (strcmp(o->epoch, c->cfg.epoch) == 0 || c->state == CONDUCTOR_OFF)
+    if (strcmp(o->epoch, c->cfg.epoch) == 0 || c->state == CONDUCTOR_OFF ||
+        strcmp(o->board, c->cfg.board) == 0) // a former run of this board
         return;
     if (!o->online && c->state == CONDUCTOR_REFUSED && strcmp(o->board, c->other) == 0) {
         c->state = CONDUCTOR_LISTEN;

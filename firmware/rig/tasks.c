@@ -1,5 +1,6 @@
 #include "firmware/rig/tasks.h"
 
+#include "drivers/device/clocks.h"
 #include "drivers/format/file.h"
 #include "drivers/format/json.h"
 #include "drivers/net/fetch.h"
@@ -253,7 +254,10 @@ static void *run_tasks(void *ctx)
             continue;
         }
         pthread_mutex_unlock(&t->lock);
+        const int64_t begin = clocks_now();
         e->task.err = run(t, &e->task);
+        e->task.took_s = (double)(clocks_now() - begin) * 1e-9;
+        e->task.bytes = t->all;
         snprintf(e->task.text, sizeof e->task.text, "%.*s", TAKE_TEXT - 1,
                  e->task.err ? err_text() : "");
         pthread_mutex_lock(&t->lock);
