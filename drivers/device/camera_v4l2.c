@@ -302,6 +302,8 @@ static err_t v4l2_next(void *st, struct frame *out)
         e = v4l2_queue_take(&s->queue, &item);
     if (e)
         return e;
+    if (v4l2_shutter_shifted(&s->shutter) == ERR_LOST) // else with the next frame
+        s->queue.lost = true;
     bool is_short = item.bytes < l->least || item.bytes < 1;
     *out = (struct frame){.data = item.data,
                           .bytes = item.bytes,
@@ -316,6 +318,17 @@ static err_t v4l2_next(void *st, struct frame *out)
                           .lens = (double)s->lens.position,
                           .index = item.index};
     return OK;
+}
+
+static err_t v4l2_shift(void *st, double seconds, double *shift)
+{
+    struct state *s = st;
+    if (s->queue.lost)
+        return err_fail(ERR_LOST, "%s: lost; open it again", s->video.path);
+    err_t e = v4l2_shutter_shift(&s->shutter, seconds, shift);
+    if (e == ERR_LOST)
+        s->queue.lost = true;
+    return e;
 }
 
 static void v4l2_release(void *st, struct frame *f)
@@ -344,6 +357,7 @@ const struct camera_ops camera_v4l2 = {.name = "v4l2",
                                        .info = v4l2_info,
                                        .fd = v4l2_fd,
                                        .request = v4l2_request,
+                                       .shift = v4l2_shift,
                                        .next = v4l2_next,
                                        .release = v4l2_release,
                                        .focus = v4l2_focus};

@@ -320,6 +320,7 @@ static err_t stretch_and_write(struct v4l2_shutter *c, int64_t code, int64_t gai
     if (e)
         return e;
     e = write_codes(c, code, gain);
+    c->shifted = c->shifted && e;
     if (e && to > was) // coming frames are not to change
         (void)!set_vblank(c, was);
     if (!e && to < was && set_vblank(c, to) == ERR_LOST)
@@ -347,6 +348,30 @@ err_t v4l2_shutter_request(struct v4l2_shutter *c, const struct exposure *reques
     double factor = c->gain_lo < c->gain_hi ? v4l2_sensor_gain(c->sensor, c->gain) : 1.0;
     *set_to = (struct exposure){(double)c->code * c->unit_s, factor > 0.0 ? factor : 1.0};
     return OK;
+}
+
+err_t v4l2_shutter_shift(struct v4l2_shutter *c, double seconds, double *shift)
+{
+    if (c->kind != V4L2_SHUTTER_LINES || c->vblank_lo >= c->vblank_hi)
+        return err_fail(ERR_UNSUPPORTED, "%s: the length of frames is fixed", c->node.path);
+    if (c->shifted)
+        return err_fail(ERR_BUSY, "%s: a frame is still to be lengthened", c->node.path);
+    int64_t was = c->vblank, lines = llround(fmin(fmax(seconds, 0.0), c->period_s) / c->unit_s);
+    int64_t to = v4l2_control_fit(was + lines, c->vblank_lo, c->vblank_hi, c->vblank_step);
+    err_t e = to > was ? set_vblank(c, to) : OK;
+    if (e)
+        return e;
+    c->shifted = c->vblank > was;
+    c->vblank_usual = was;
+    *shift = (double)(c->vblank - was) * c->unit_s;
+    return OK;
+}
+
+err_t v4l2_shutter_shifted(struct v4l2_shutter *c)
+{
+    err_t e = c->shifted ? set_vblank(c, c->vblank_usual) : OK;
+    c->shifted = c->shifted && e;
+    return e;
 }
 
 void v4l2_shutter_info(const struct v4l2_shutter *c, struct camera_info *out)

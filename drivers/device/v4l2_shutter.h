@@ -21,6 +21,8 @@ struct v4l2_shutter {
     double unit_s;             // one exposure code: 100 us, or the time of a line
     int64_t least, most, step; // exposure codes
     int64_t vblank, vblank_base, vblank_lo, vblank_hi, vblank_step; // lo == hi: cannot be changed
+    bool shifted;             // one frame is longer: with the next one back to
+    int64_t vblank_usual;     // this
     int64_t gain_lo, gain_hi; // codes; lo == hi: cannot be changed, or the factor is not known
     int64_t code, gain;       // in force, as read back
     int h;                    // lines of the picture
@@ -38,6 +40,12 @@ MUST_USE err_t v4l2_shutter_freeze(const struct v4l2_node *n);
  * err:  ERR_UNSUPPORTED (values that make no sense), ERR_BUSY, ERR_LOST, ERR_IO */
 MUST_USE err_t v4l2_shutter_open(struct v4l2_shutter *c, const struct v4l2_layout *l,
                                  double longest_s, double period_s);
+
+/* See camera_ops.shift. With the next frame that arrives, v4l2_shutter_shifted makes them as long as
+ * before: both writes go to the sensor one frame apart, and so take effect.
+ * err:  as camera_ops.shift; of v4l2_shutter_shifted those that set a control */
+MUST_USE err_t v4l2_shutter_shift(struct v4l2_shutter *c, double seconds, double *shift);
+MUST_USE err_t v4l2_shutter_shifted(struct v4l2_shutter *c);
 
 /* See camera_ops.request, camera_info. */
 MUST_USE err_t v4l2_shutter_request(struct v4l2_shutter *c, const struct exposure *requested,

@@ -184,6 +184,39 @@ static void test_sensor(void **st)
     close_all();
 }
 
+/* One frame is longer: VBLANK is back with the next one, or with a request. */
+static void test_shift(void **st)
+{
+    (void)st;
+    double shift = 0;
+    fake_raw(&fake);
+    open_ok(sensor);
+    request_exposure(0.01, 1.0);
+    int64_t base = control(V4L2_CID_VBLANK);
+    for (int k = 0; k < 2; k++) {
+        assert_int_equal(camera_v4l2.shift(state, 0.005, &shift), OK);
+        int64_t lines = llround(0.005 / line_s);
+        assert_true(near(shift, (double)lines * line_s));
+        assert_int_equal(control(V4L2_CID_VBLANK), base + lines);
+        refuses(camera_v4l2.shift(state, 0.005, &shift), ERR_BUSY, "still");
+        if (k == 1)
+            request_exposure(0.02, 1.0);
+        fake_frame(&fake);
+        struct frame f = take();
+        camera_v4l2.release(state, &f);
+        assert_int_equal(control(V4L2_CID_VBLANK), base);
+    }
+    assert_int_equal(camera_v4l2.shift(state, 1e-9, &shift), OK);
+    assert_true(shift == 0);
+    fake_control(&fake, V4L2_CID_VBLANK)->refuse = EIO;
+    refuses(camera_v4l2.shift(state, 0.005, &shift), ERR_IO, "vertical blanking");
+    close_all();
+    fake_uvc(&fake);
+    open_ok(webcam);
+    refuses(camera_v4l2.shift(state, 0.005, &shift), ERR_UNSUPPORTED, "fixed");
+    close_all();
+}
+
 /* When the second of two controls is refused the first comes back, and the frame's length too. */
 static void test_half_written(void **st)
 {
@@ -675,16 +708,27 @@ static void test_other_nodes(void **st)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_webcam),       cmocka_unit_test(test_pace),
-        cmocka_unit_test(test_exposure),     cmocka_unit_test(test_frames),
-        cmocka_unit_test(test_mplane),       cmocka_unit_test(test_sensor),
-        cmocka_unit_test(test_half_written), cmocka_unit_test(test_other_sensors),
-        cmocka_unit_test(test_gain_codes),   cmocka_unit_test(test_focus),
-        cmocka_unit_test(test_lens),         cmocka_unit_test(test_focus_once),
-        cmocka_unit_test(test_automatic),    cmocka_unit_test(test_refused_requests),
-        cmocka_unit_test(test_formats),      cmocka_unit_test(test_refused_formats),
-        cmocka_unit_test(test_hostile),      cmocka_unit_test(test_odd_values),
-        cmocka_unit_test(test_refused_open), cmocka_unit_test(test_other_nodes),
+        cmocka_unit_test(test_webcam),
+        cmocka_unit_test(test_pace),
+        cmocka_unit_test(test_exposure),
+        cmocka_unit_test(test_frames),
+        cmocka_unit_test(test_mplane),
+        cmocka_unit_test(test_sensor),
+        cmocka_unit_test(test_shift),
+        cmocka_unit_test(test_half_written),
+        cmocka_unit_test(test_other_sensors),
+        cmocka_unit_test(test_gain_codes),
+        cmocka_unit_test(test_focus),
+        cmocka_unit_test(test_lens),
+        cmocka_unit_test(test_focus_once),
+        cmocka_unit_test(test_automatic),
+        cmocka_unit_test(test_refused_requests),
+        cmocka_unit_test(test_formats),
+        cmocka_unit_test(test_refused_formats),
+        cmocka_unit_test(test_hostile),
+        cmocka_unit_test(test_odd_values),
+        cmocka_unit_test(test_refused_open),
+        cmocka_unit_test(test_other_nodes),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

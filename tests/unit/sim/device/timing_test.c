@@ -106,6 +106,29 @@ static void test_lengths(void **state)
     }
 }
 
+/* A slow clock, starts around its grid, and one frame that is longer. */
+static void test_starts(void **state)
+{
+    struct timing_cfg c = usual;
+    struct timing t;
+    double most = 0;
+    (void)state;
+    c.drift = 1e-4;
+    c.wobble_s = 1e-4;
+    timing_open(&t, &c, 5, 0.01);
+    for (int i = 0; i < 200; i++) {
+        struct timing_frame f = timing_step(&t);
+        double off = (double)(f.start_ns - 5) * 1e-9 - i * 0.04 * (1 + 1e-4) - (i >= 103) * 0.007;
+        assert_true(fabs(off) <= 1e-4 + 1e-6 && f.end_ns == t.now.start_ns);
+        most = fmax(most, fabs(off));
+        if (i == 99) { // frame 100 runs
+            assert_true(timing_shift(&t, 7000000));
+            assert_true(!timing_shift(&t, 7000000));
+        }
+    }
+    assert_true(most > 5e-5 && timing_shift(&t, 1));
+}
+
 static void test_limits(void **state)
 {
     struct timing_cfg c = usual;
@@ -131,7 +154,7 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_delay),  cmocka_unit_test(test_pipeline),
         cmocka_unit_test(test_jitter), cmocka_unit_test(test_lengths),
-        cmocka_unit_test(test_limits),
+        cmocka_unit_test(test_limits), cmocka_unit_test(test_starts),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
