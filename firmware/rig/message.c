@@ -3,6 +3,7 @@
 #include "firmware/rig/message.h"
 
 #include "drivers/format/json.h"
+#include "drivers/format/name.h"
 
 #include <inttypes.h>
 #include <math.h>
@@ -15,7 +16,10 @@ static const char hex[] = "0123456789abcdef", ids[] = "0123456789abcdef-",
 
 #define PORT_MAX 65535
 #define DISK_MAX_MB 1e12
-#define EXPOSURE_MAX_S 1e4
+#define BALANCE_MAX 100.0
+#define SERIAL_MAX 1e18
+#define TIME_MAX_NS 4e18   // until 2096; differences fit into 64 bits
+#define WITHIN_MAX_NS 1e18 // added to one, too
 
 /* ---- topics ---- */
 
@@ -66,7 +70,7 @@ struct field {
     const char *key;
     enum field_kind kind;
     size_t offset;       // in the struct: bool, int, double, int64_t, char[cap]
-    double low, high;    // of numbers
+    double low, high;    // of numbers, times too
     const char *allowed; // characters of a TEXT, which may be empty
     size_t cap;
 };
@@ -76,14 +80,23 @@ static err_t refuse(const char *what, const char *key)
     return err_fail(ERR_FORMAT, "%s: \"%s\" is missing or out of range", what, key);
 }
 
-static bool read_ns(const struct cJSON *node, int64_t *out)
+/* The value of a key; NULL if it is there twice, as readers differ in which they take. */
+static const struct cJSON *get(const struct cJSON *object, const char *key)
+{
+    const struct cJSON *found = json_member(object, key);
+    for (const struct cJSON *x = found ? json_next(found) : NULL; x; x = json_next(x))
+        if (strcmp(json_key(x), key) == 0)
+            return NULL;
+    return found;
+}
+
+static bool read_ns(const struct cJSON *node, double low, double high, int64_t *out)
 {
     const char *s = json_string(node);
-    char *end;
-    if (!s || !*s || strlen(s) > 20 || s[strspn(s, "-0123456789")])
+    if (!s || !*s || strlen(s) > 19 || s[strspn(s, "0123456789")])
         return false;
-    *out = strtoll(s, &end, 10);
-    return !*end && *out > INT64_MIN / 4 && *out < INT64_MAX / 4;
+    *out = strtoll(s, NULL, 10);
+    return (double)*out >= low && (double)*out <= high;
 }
 
 static bool read_number(const struct cJSON *node, double low, double high, double *out)
@@ -100,15 +113,35 @@ static bool read_whole(const struct cJSON *node, double low, double high, int *o
     return true;
 }
 
-/* A sentence is cut to its place; control characters become blanks. */
+/* Bytes of the character at s that can be shown: 0 for controls, C1 too, and what is not UTF-8. */
+static size_t shown(const char *s)
+{
+    const unsigned char *c = (const unsigned char *)s;
+    const bool control = c[0] < ' ' || c[0] == 0x7f || (c[0] == 0xc2 && c[1] < 0xa0);
+    return control ? 0 : name_utf8(s, strlen(s));
+}
+
+/* A sentence is cut to its place after a whole character. */
+static void read_sentence(const char *s, size_t cap, char *out)
+{
+    size_t n = 0;
+    while (*s) {
+        const size_t bytes = shown(s), more = bytes ? bytes : 1;
+        if (n + more >= cap)
+            break;
+        memcpy(out + n, bytes ? s : " ", more);
+        s += more;
+        n += more;
+    }
+    out[n] = 0;
+}
+
 static bool read_text(const struct cJSON *node, const struct field *k, char *out)
 {
     const char *s = json_string(node);
-    if (!s || (k->allowed && (strlen(s) >= k->cap || s[strspn(s, k->allowed)])))
+    if (!s || (k->kind == TEXT && (strlen(s) >= k->cap || s[strspn(s, k->allowed)])))
         return false;
-    snprintf(out, k->cap, "%s", s);
-    for (char *p = out; *p; p++)
-        *p = (unsigned char)*p < ' ' ? ' ' : *p;
+    read_sentence(s, k->cap, out);
     return true;
 }
 
@@ -117,7 +150,7 @@ static err_t read_fields(const char *what, const struct cJSON *doc, const struct
 {
     for (int i = 0; i < n; i++) {
         const struct field *k = &fields[i];
-        const struct cJSON *node = json_member(doc, k->key);
+        const struct cJSON *node = get(doc, k->key);
         void *to = (char *)out + k->offset;
         bool ok = false;
         switch (k->kind) {
@@ -131,7 +164,7 @@ static err_t read_fields(const char *what, const struct cJSON *doc, const struct
             ok = read_number(node, k->low, k->high, to);
             break;
         case NS:
-            ok = read_ns(node, to);
+            ok = read_ns(node, k->low, k->high, to);
             break;
         case TEXT:
         case SENTENCE:
@@ -222,7 +255,7 @@ static err_t read_holds(const char *what, const struct cJSON *doc, struct messag
         {"bytes", NS, AT(message_hold, bytes), 0, 0, NULL, 0},
         {"sha256", TEXT, AT(message_hold, sha256), 0, 0, hex, SHA256_HEX_CAP},
     };
-    const struct cJSON *list = json_member(doc, "holds");
+    const struct cJSON *list = get(doc, "holds");
     err_t e = OK;
     if (!json_is_array(list) || json_count(list) > MESSAGE_HOLDS)
         return refuse(what, "holds");
@@ -247,9 +280,9 @@ static err_t member_body(const char *what, const struct cJSON *doc, void *out)
         {"sentence", SENTENCE, AT(message_member, sentence), 0, 0, NULL, TAKE_TEXT},
         {"free_mb", REAL, AT(message_member, free_mb), -1, DISK_MAX_MB, NULL, 0},
         {"clock_known", TRUTH, AT(message_member, clock_known), 0, 0, NULL, 0},
-        {"within_ns", NS, AT(message_member, within_ns), 0, 0, NULL, 0},
+        {"within_ns", NS, AT(message_member, within_ns), 0, WITHIN_MAX_NS, NULL, 0},
         {"clock", TEXT, AT(message_member, clock), 0, 0, words, 16},
-        {"serial", NS, AT(message_member, serial), 0, 0, NULL, 0},
+        {"serial", NS, AT(message_member, serial), 0, SERIAL_MAX, NULL, 0},
     };
     struct message_member *m = out;
     err_t e = read_fields(what, doc, online, COUNT(online), m);
@@ -298,61 +331,73 @@ static const char *const order_word[] = {"meter", "shoot", "cancel", "release"};
 
 static err_t read_members(const char *what, const struct cJSON *doc, struct message_order *m)
 {
-    const struct cJSON *list = json_member(doc, "members");
+    const struct cJSON *list = get(doc, "members");
     if (!json_is_array(list) || json_count(list) > MESSAGE_MEMBERS)
         return refuse(what, "members");
     for (const struct cJSON *x = json_first(list); x; x = json_next(x)) {
-        const char *name = json_string(json_member(x, "name"));
-        if (!name || !message_is_name(name) ||
-            !read_whole(json_member(x, "turn"), 0, 1e6, &m->turn[m->n]))
+        const char *name = json_string(get(x, "name"));
+        if (!name || !message_is_name(name) || !read_whole(get(x, "turn"), 0, 1e6, &m->turn[m->n]))
             return refuse(what, "members");
         snprintf(m->member[m->n++], TAKE_MEMBER_CAP, "%s", name);
     }
     return OK;
 }
 
-static err_t read_times(const char *what, const struct cJSON *list, int *n, double *time_s)
+static bool read_times(const struct cJSON *list, int *n, double *time_s)
 {
     *n = 0;
     if (!json_is_array(list) || json_count(list) > BRACKET_EXPOSURES_MAX)
-        return refuse(what, "times_s");
+        return false;
     for (const struct cJSON *x = json_first(list); x; x = json_next(x))
-        if (!read_number(x, 1e-9, EXPOSURE_MAX_S, &time_s[(*n)++]))
-            return refuse(what, "times_s");
+        if (!read_number(x, MESSAGE_TIME_MIN_S, MESSAGE_TIME_MAX_S, &time_s[(*n)++]))
+            return false;
+    return true;
+}
+
+static err_t read_balance(const char *what, const struct cJSON *doc, float *red, float *blue)
+{
+    double r, b;
+    if (!read_number(get(doc, "red"), 0, BALANCE_MAX, &r))
+        return refuse(what, "red");
+    if (!read_number(get(doc, "blue"), 0, BALANCE_MAX, &b))
+        return refuse(what, "blue");
+    *red = (float)r;
+    *blue = (float)b;
     return OK;
+}
+
+/* Texts that may be empty in another kind of message. */
+static err_t need(const char *what, const char *key, const char *text)
+{
+    return *text ? OK : refuse(what, key);
 }
 
 static err_t order_body(const char *what, const struct cJSON *doc, void *out)
 {
     static const struct field fields[] = {
         {"epoch", TEXT, AT(message_order, epoch), 0, 0, hex, MESSAGE_EPOCH_CAP},
-        {"serial", NS, AT(message_order, serial), 0, 0, NULL, 0},
+        {"serial", NS, AT(message_order, serial), 0, SERIAL_MAX, NULL, 0},
         {"take", TEXT, AT(message_order, take), 0, 0, ids, TAKE_ID_CAP},
-        {"start_ns", NS, AT(message_order, start_ns), 0, 0, NULL, 0},
+        {"start_ns", NS, AT(message_order, start_ns), 0, TIME_MAX_NS, NULL, 0},
         {"stagger", TRUTH, AT(message_order, stagger), 0, 0, NULL, 0},
     };
     struct message_order *m = out;
     int kind;
-    double red, blue;
-    if (!read_word(json_member(doc, "order"), order_word, COUNT(order_word), &kind))
+    if (!read_word(get(doc, "order"), order_word, COUNT(order_word), &kind))
         return refuse(what, "order");
     m->kind = (enum message_order_kind)kind;
     err_t e = read_fields(what, doc, fields, COUNT(fields), m);
     if (!e)
         e = read_members(what, doc, m);
+    if (!e && !read_times(get(doc, "times_s"), &m->n_times, m->time_s))
+        e = refuse(what, "times_s");
     if (!e)
-        e = read_times(what, json_member(doc, "times_s"), &m->n_times, m->time_s);
-    if (!e && (!read_number(json_member(doc, "red"), 0, 100, &red) ||
-               !read_number(json_member(doc, "blue"), 0, 100, &blue)))
-        e = refuse(what, "red");
-    if (e)
-        return e;
-    m->red = (float)red;
-    m->blue = (float)blue;
-    bool takes = m->kind == MESSAGE_SHOOT || m->kind == MESSAGE_RELEASE;
-    if (!m->epoch[0] || (takes && !m->take[0]) || (m->kind == MESSAGE_SHOOT && m->n_times < 1))
-        return refuse(what, "take");
-    return OK;
+        e = read_balance(what, doc, &m->red, &m->blue);
+    if (!e)
+        e = need(what, "epoch", m->epoch);
+    if (!e && (m->kind == MESSAGE_SHOOT || m->kind == MESSAGE_RELEASE))
+        e = need(what, "take", m->take);
+    return !e && m->kind == MESSAGE_SHOOT && m->n_times < 1 ? refuse(what, "times_s") : e;
 }
 
 err_t message_read_order(const char *text, size_t n, struct message_order *out)
@@ -401,15 +446,15 @@ static const char *const report_word[] = {"metered", "stored", "failed"};
 
 static err_t read_meters(const char *what, const struct cJSON *doc, struct message_report *m)
 {
-    const struct cJSON *list = json_member(doc, "meters_s");
-    err_t e = OK;
+    const struct cJSON *list = get(doc, "meters_s");
     if (!json_is_array(list) || json_count(list) > BRACKET_CAMERAS_MAX)
         return refuse(what, "meters_s");
-    for (const struct cJSON *x = json_first(list); x && !e; x = json_next(x)) {
+    for (const struct cJSON *x = json_first(list); x; x = json_next(x)) {
         struct message_meter *k = &m->meter[m->n_cameras++];
-        e = read_times(what, x, &k->n, k->time_s);
+        if (!read_times(x, &k->n, k->time_s))
+            return refuse(what, "meters_s");
     }
-    return e;
+    return OK;
 }
 
 static err_t read_starts(const char *what, const struct cJSON *doc, struct message_report *m)
@@ -417,10 +462,10 @@ static err_t read_starts(const char *what, const struct cJSON *doc, struct messa
     static const struct field fields[] = {
         {"camera", WHOLE, AT(message_start, camera), 0, BRACKET_CAMERAS_MAX - 1, NULL, 0},
         {"index", WHOLE, AT(message_start, index), 0, BRACKET_EXPOSURES_MAX - 1, NULL, 0},
-        {"common_ns", NS, AT(message_start, common_ns), 0, 0, NULL, 0},
-        {"within_ns", NS, AT(message_start, within_ns), 0, 0, NULL, 0},
+        {"common_ns", NS, AT(message_start, common_ns), 0, TIME_MAX_NS, NULL, 0},
+        {"within_ns", NS, AT(message_start, within_ns), 0, WITHIN_MAX_NS, NULL, 0},
     };
-    const struct cJSON *list = json_member(doc, "starts");
+    const struct cJSON *list = get(doc, "starts");
     err_t e = OK;
     if (!json_is_array(list) || json_count(list) > TAKE_FRAMES_MAX)
         return refuse(what, "starts");
@@ -433,15 +478,14 @@ static err_t report_body(const char *what, const struct cJSON *doc, void *out)
 {
     static const struct field fields[] = {
         {"epoch", TEXT, AT(message_report, epoch), 0, 0, hex, MESSAGE_EPOCH_CAP},
-        {"serial", NS, AT(message_report, serial), 0, 0, NULL, 0},
+        {"serial", NS, AT(message_report, serial), 0, SERIAL_MAX, NULL, 0},
         {"take", TEXT, AT(message_report, take), 0, 0, ids, TAKE_ID_CAP},
         {"part", TEXT, AT(message_report, part), 0, 0, ids, TAKE_ID_CAP},
         {"reason", SENTENCE, AT(message_report, reason), 0, 0, NULL, TAKE_TEXT},
     };
     struct message_report *m = out;
     int kind;
-    double red, blue;
-    if (!read_word(json_member(doc, "report"), report_word, COUNT(report_word), &kind))
+    if (!read_word(get(doc, "report"), report_word, COUNT(report_word), &kind))
         return refuse(what, "report");
     m->kind = (enum message_report_kind)kind;
     err_t e = read_fields(what, doc, fields, COUNT(fields), m);
@@ -449,16 +493,11 @@ static err_t report_body(const char *what, const struct cJSON *doc, void *out)
         e = read_meters(what, doc, m);
     if (!e)
         e = read_starts(what, doc, m);
-    if (!e && (!read_number(json_member(doc, "red"), 0, 100, &red) ||
-               !read_number(json_member(doc, "blue"), 0, 100, &blue)))
-        e = refuse(what, "red");
-    if (!e && m->kind == MESSAGE_STORED && (!m->take[0] || !m->part[0]))
-        e = refuse(what, "part");
-    if (e)
-        return e;
-    m->red = (float)red;
-    m->blue = (float)blue;
-    return OK;
+    if (!e)
+        e = read_balance(what, doc, &m->red, &m->blue);
+    if (!e && m->kind == MESSAGE_STORED)
+        e = need(what, "take", m->take);
+    return !e && m->kind == MESSAGE_STORED ? need(what, "part", m->part) : e;
 }
 
 err_t message_read_report(const char *text, size_t n, struct message_report *out)
@@ -500,12 +539,12 @@ static err_t time_body(const char *what, const struct cJSON *doc, void *out)
 {
     static const struct field fields[] = {
         {"epoch", TEXT, AT(message_time, epoch), 0, 0, hex, MESSAGE_EPOCH_CAP},
-        {"sent_ns", NS, AT(message_time, sent_ns), 0, 0, NULL, 0},
-        {"got_ns", NS, AT(message_time, got_ns), 0, 0, NULL, 0},
-        {"replied_ns", NS, AT(message_time, replied_ns), 0, 0, NULL, 0},
+        {"sent_ns", NS, AT(message_time, sent_ns), 0, TIME_MAX_NS, NULL, 0},
+        {"got_ns", NS, AT(message_time, got_ns), 0, TIME_MAX_NS, NULL, 0},
+        {"replied_ns", NS, AT(message_time, replied_ns), 0, TIME_MAX_NS, NULL, 0},
         {"disciplined", TRUTH, AT(message_time, disciplined), 0, 0, NULL, 0},
-        {"real_ns", NS, AT(message_time, real_ns), 0, 0, NULL, 0},
-        {"within_ns", NS, AT(message_time, within_ns), 0, 0, NULL, 0},
+        {"real_ns", NS, AT(message_time, real_ns), 0, TIME_MAX_NS, NULL, 0},
+        {"within_ns", NS, AT(message_time, within_ns), 0, WITHIN_MAX_NS, NULL, 0},
     };
     return read_fields(what, doc, fields, COUNT(fields), out);
 }

@@ -22,6 +22,10 @@ enum {
     MESSAGE_HOST_CAP = 64
 };
 
+/* Exposure times in messages, s at gain 1. */
+#define MESSAGE_TIME_MIN_S 1e-9
+#define MESSAGE_TIME_MAX_S 1e4
+
 /* Topics below hdrig/1/RIG/; all but the conductor's own end in /MEMBER. */
 enum message_topic {
     MESSAGE_CONDUCTOR, // conductor's presence: retained, with a last will
@@ -140,7 +144,9 @@ void message_write_order(const struct message_order *m, FILE *f);
 void message_write_report(const struct message_report *m, FILE *f);
 void message_write_time(const struct message_time *m, FILE *f);
 
-/* Read n bytes of one; an empty payload is refused.
+/* Read n bytes of one; an empty payload and a known key that is there twice are refused. What was
+ * read can be written. Sentences are cut to their place; in them, controls and bytes that are not
+ * UTF-8 become blanks.
  * err:  ERR_FORMAT naming the key, ERR_NOMEM. On error *out is zeroed. */
 MUST_USE err_t message_read_conductor(const char *text, size_t n, struct message_conductor *out);
 MUST_USE err_t message_read_member(const char *text, size_t n, struct message_member *out);

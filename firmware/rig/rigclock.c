@@ -3,11 +3,20 @@
 #include <stddef.h>
 #include <stdlib.h>
 
+/* How far the clocks drift apart in a time, rounded up. */
+static int64_t drift(int64_t ns)
+{
+    return (int64_t)((double)llabs(ns) * RIGCLOCK_DRIFT) + 1;
+}
+
 void rigclock_exchange(struct rigclock *c, int64_t sent_ns, int64_t got_ns, int64_t replied_ns,
                        int64_t back_ns)
 {
+    if (back_ns < sent_ns || replied_ns < got_ns)
+        return;
     struct rigclock_interval x = {back_ns, replied_ns - back_ns, got_ns - sent_ns};
-    if (back_ns < sent_ns || replied_ns < got_ns || x.high_ns < x.low_ns)
+    x.high_ns += drift(back_ns - sent_ns); // it held when the message was sent
+    if (x.high_ns < x.low_ns)
         return;
     c->exchange[c->next] = x;
     c->next = (c->next + 1) % RIGCLOCK_SAMPLES;
@@ -23,7 +32,7 @@ void rigclock_kernel(struct rigclock *c, int64_t at_ns, int64_t offset_ns, int64
 /* The interval at now_ns: the clocks may have drifted apart since. */
 static struct rigclock_interval widen(const struct rigclock_interval *x, int64_t now_ns)
 {
-    const int64_t more = (int64_t)((double)llabs(now_ns - x->at_ns) * RIGCLOCK_DRIFT);
+    const int64_t more = drift(now_ns - x->at_ns);
     return (struct rigclock_interval){now_ns, x->low_ns - more, x->high_ns + more};
 }
 

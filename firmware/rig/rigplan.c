@@ -34,7 +34,7 @@ static err_t make_list(const struct config *c, double middle_s, struct rigplan *
     err_t e = config_stops("bracket.ev", c->bracket_ev, ev, BRACKET_EXPOSURES_MAX, &out->n);
     for (int i = 0; i < out->n && !e; i++) {
         int k = i;
-        const double t = middle_s * exp2(ev[i]);
+        const double t = fmin(fmax(middle_s * exp2(ev[i]), MESSAGE_TIME_MIN_S), MESSAGE_TIME_MAX_S);
         for (; k > 0 && out->time_s[k - 1] > t; k--)
             out->time_s[k] = out->time_s[k - 1];
         out->time_s[k] = t;

@@ -8,7 +8,7 @@
 
 struct rigplan {
     int n;
-    double time_s[BRACKET_EXPOSURES_MAX]; // rising
+    double time_s[BRACKET_EXPOSURES_MAX]; // rising, within the bounds of messages
 };
 
 /* Whether cameras must be metered for it: bracket.mode = auto, or a list around no given middle. */
