@@ -63,7 +63,8 @@ static err_t check_calibration(const struct config *c)
     if (!c->rig_file[0])
         return OK;
     err_t e = rigfile_read(c->rig_file, &rig);
-    for (int i = 0; i < CONFIG_CAMERAS && !e; i++) {
+    // the cameras of a rig of several boards are others'
+    for (int i = 0; i < CONFIG_CAMERAS && !e && c->rig_role == CONFIG_ALONE; i++) {
         char name[NAME_CAP];
         bool has = true;
         snprintf(name, sizeof name, "train_%02d_00.png", i); // as in a take

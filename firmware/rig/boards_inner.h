@@ -10,6 +10,12 @@
 
 #include "drivers/net/mqtt.h"
 
+/* A camera of a calibrated rig from above: where it stands and looks, in its units; y is down. */
+struct boards_view {
+    bool known;
+    float x, z, dx, dz;
+};
+
 struct boards {
     struct boards_config cfg;
     const struct config *set;
@@ -30,6 +36,7 @@ struct boards {
     /* the conductor */
     struct conductor conductor;
     struct conductor_action action;
+    struct boards_view view[MESSAGE_MEMBERS]; // of rig.file, by the camera's number in joint takes
     struct message_member heard;
     struct task task;
 };

@@ -2,8 +2,10 @@
 #include "firmware/store/joint.h"
 
 #include "core/base/log.h"
+#include "core/base/rotation.h"
 #include "drivers/device/clocks.h"
 #include "drivers/format/json.h"
+#include "drivers/format/rigfile.h"
 
 #include <inttypes.h>
 #include <stdlib.h>
@@ -144,6 +146,39 @@ static err_t subscribe(struct boards *b, enum message_topic t, const char *membe
     return mqtt_subscribe(b->mqtt, topic, t == MESSAGE_ASK || t == MESSAGE_TIME ? 0 : 1);
 }
 
+/* The number of a camera in a view's name as takes have it, train_CC_EE; -1: it is none. */
+static int camera_of(const char *name)
+{
+    int camera, exposure;
+    return sscanf(name, "train_%2d_%2d", &camera, &exposure) == 2 && camera >= 0 &&
+                   camera < MESSAGE_MEMBERS
+               ? camera
+               : -1;
+}
+
+static err_t read_views(struct boards *b)
+{
+    struct rig rig;
+    if (!b->set->rig_file[0])
+        return OK;
+    err_t e = rigfile_read(b->set->rig_file, &rig);
+    if (e)
+        return err_fail(e, "rig.file: %s", err_text());
+    for (int i = 0; i < rig.n; i++) {
+        const struct camera *cam = &rig.views[i].cam;
+        const int k = camera_of(rig.views[i].name);
+        double centre[3], r[9];
+        if (k < 0)
+            continue;
+        rotation_centre(cam, centre);
+        rotation_of_camera(cam, r); // its last row is the axis of the view in the world
+        b->view[k] = (struct boards_view){true, (float)centre[0], (float)centre[2], (float)r[6],
+                                          (float)r[8]};
+    }
+    cameras_free(&rig);
+    return OK;
+}
+
 static err_t open_conductor(struct boards *b)
 {
     char ids[CONDUCTOR_TAKES][STORE_ID_CAP];
@@ -156,6 +191,8 @@ static err_t open_conductor(struct boards *b)
     memcpy(c.epoch, b->epoch, sizeof c.epoch);
     memcpy(c.board, b->member.name, sizeof c.board);
     err_t e = conductor_init(&b->conductor, &c);
+    if (!e)
+        e = read_views(b);
     if (!e)
         e = tasks_open("fetch", b->cfg.store, b->set->store_path, &b->fetch);
     for (int i = e ? 0 : joint_pending(b->set->store_path, ids, CONDUCTOR_TAKES) - 1; !e && i >= 0;

@@ -74,6 +74,40 @@ static void put_takes(const struct conductor *c, FILE *f)
     fputs("]", f);
 }
 
+static void put_last(const struct conductor_last *l, FILE *f)
+{
+    fprintf(f, ", \"last\": {\"id\": \"%s\", \"ok\": %s, \"sentence\": ", l->take,
+            l->err ? "false" : "true");
+    json_put_string(f, l->text);
+    fputs(", \"skew_ms\": [", f);
+    for (int i = 0; i < l->n; i++)
+        fprintf(f, "%s%.3f", i ? ", " : "", (double)l->apart_ns[i] * 1e-6);
+    fprintf(f, "], \"within_ms\": %.3f}", (double)l->within_ns * 1e-6);
+}
+
+/* Cameras of a joint take are those of its boards in their order. */
+static void put_views(const struct boards *b, FILE *f)
+{
+    int camera = 0;
+    bool any = false;
+    fputs(", \"views\": [", f);
+    for (int i = 0; i < b->conductor.n; i++) {
+        const struct conductor_member *m = &b->conductor.member[i];
+        for (int k = 0; k < m->said.cameras && camera < MESSAGE_MEMBERS; k++) {
+            const struct boards_view *v = &b->view[camera++];
+            if (!v->known)
+                continue;
+            fprintf(f,
+                    "%s{\"name\": \"%s\", \"camera\": %d, \"x\": %.6g, \"z\": %.6g, "
+                    "\"dx\": %.4g, \"dz\": %.4g}",
+                    any ? ", " : "", m->name, k, (double)v->x, (double)v->z, (double)v->dx,
+                    (double)v->dz);
+            any = true;
+        }
+    }
+    fputs("]", f);
+}
+
 void boards_status_write(const struct boards *b, FILE *f)
 {
     const char *trouble = boards_trouble(b);
@@ -86,6 +120,9 @@ void boards_status_write(const struct boards *b, FILE *f)
     if (b->has_conductor) {
         put_members(&b->conductor, f);
         put_takes(&b->conductor, f);
+        if (b->conductor.last.take[0] || b->conductor.last.err)
+            put_last(&b->conductor.last, f);
+        put_views(b, f);
     }
     fputs("}", f);
 }

@@ -58,6 +58,11 @@ static void tell(struct conductor *c, const struct conductor_take *t, err_t err,
     a->err = err;
     memcpy(a->take, t->order.take, sizeof a->take);
     set_text(a->text, sizeof a->text, "%s", text);
+    c->last = (struct conductor_last){.err = err, .within_ns = t->within_ns};
+    memcpy(c->last.take, a->take, sizeof c->last.take);
+    memcpy(c->last.text, a->text, sizeof c->last.text);
+    for (int i = 0; i < BRACKET_EXPOSURES_MAX && t->has_start[i]; i++)
+        c->last.apart_ns[c->last.n++] = t->last_ns[i] - t->first_ns[i];
 }
 
 static err_t check_all(const struct conductor *c, int64_t now_ns)

@@ -165,6 +165,15 @@ struct conductor_config {
     void *ctx;
 };
 
+/* How the last press ended. */
+struct conductor_last {
+    char take[TAKE_ID_CAP]; // "": none was, or it ended before it had an id
+    err_t err;
+    char text[TAKE_TEXT];
+    int n;                                              // exposures
+    int64_t apart_ns[BRACKET_EXPOSURES_MAX], within_ns; // largest difference between its starts
+};
+
 struct conductor {
     struct conductor_config cfg;
     enum conductor_state state;
@@ -177,6 +186,7 @@ struct conductor {
     int n_meters; // what the cameras of the current take want
     struct message_meter meter[MESSAGE_MEMBERS * BRACKET_CAMERAS_MAX];
     float red, blue; // balance of the last take; 0: none
+    struct conductor_last last;
     int n_actions;
     struct conductor_action action[CONDUCTOR_ACTIONS];
 };

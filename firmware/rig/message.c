@@ -252,7 +252,7 @@ static err_t read_holds(const char *what, const struct cJSON *doc, struct messag
     static const struct field fields[] = {
         {"take", TEXT, AT(message_hold, take), 0, 0, ids, TAKE_ID_CAP},
         {"part", TEXT, AT(message_hold, part), 0, 0, ids, TAKE_ID_CAP},
-        {"bytes", NS, AT(message_hold, bytes), 0, 0, NULL, 0},
+        {"bytes", NS, AT(message_hold, bytes), 1, 1e9, NULL, 0},
         {"sha256", TEXT, AT(message_hold, sha256), 0, 0, hex, SHA256_HEX_CAP},
     };
     const struct cJSON *list = get(doc, "holds");

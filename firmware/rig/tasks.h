@@ -37,7 +37,7 @@ struct task {
     err_t err;
     char text[TAKE_TEXT];
     struct message_report report;
-    uint64_t bytes;  // FETCH: of the part
+    uint64_t bytes; // FETCH: of the part
     double took_s;
     int n_holds;
     struct message_hold hold[MESSAGE_HOLDS];

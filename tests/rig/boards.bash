@@ -7,7 +7,9 @@ SPACES=${SPACES-}
 SIZE=${SIZE:-56}
 FPS=${FPS:-30}
 MORE=${MORE-}       # options of the cameras
-LINK=${LINK-}       # netem of each board's link
+LINK=${LINK-}       # netem of each board's link; where the kernel has none, tbf with RATE alone
+RATE=${RATE:-1gbit}
+link=
 BASE=$((21000 + $$ % 8000 * 4))
 tag=hd$$
 declare -A pid port address
@@ -44,8 +46,20 @@ make_space() { # name number
         netns "$tag-$1" && space hub ip link set "$tag$2" master br0 up &&
         space "$1" ip addr add "${address[$1]}/16" dev eth0 && space "$1" ip link set eth0 up &&
         space "$1" ip link set lo up || return
-    [ -z "$LINK" ] || { space "$1" tc qdisc add dev eth0 root netem $LINK &&
-        space hub tc qdisc add dev "$tag$2" root netem $LINK; }
+    limit "$1" eth0
+    limit hub "$tag$2"
+}
+
+limit() { # space device
+    [ -n "$LINK" ] || return 0
+    local bucket="rate $RATE burst 128k latency 50ms"
+    if space "$1" tc qdisc add dev "$2" root netem $LINK rate $RATE 2>/dev/null; then
+        link="$LINK, $RATE"
+    elif space "$1" tc qdisc add dev "$2" root tbf $bucket 2>/dev/null; then
+        link="$RATE; no delays and losses, which this kernel cannot make"
+    else
+        link="as they are: this kernel limits none"
+    fi
 }
 
 broker() {
@@ -79,9 +93,13 @@ camera() { # view of views
 }
 
 board() { # name: starts it
-    local shift=$((RANDOM * 30 + 1)) own=() in
+    local shift own=() in
     inside "$1"
-    [ -z "$SPACES" ] || [ "$1" = hub ] || own=(unshare -T --monotonic $shift --boottime $shift)
+    if [ -n "$SPACES" ]; then
+        shift=$(grep "^$1 " "$OUT/offsets.txt" 2>/dev/null | cut -d' ' -f2)
+        [ -n "$shift" ] || { shift=$((RANDOM * 30 + 1)); echo "$1 $shift" >>"$OUT/offsets.txt"; }
+        own=(unshare -T --monotonic $shift --boottime $shift)
+    fi
     "${in[@]}" "${own[@]}" "$DAEMON" --config "$OUT/$1/hdrig.conf" 2>>"$OUT/$1/log.txt" &
     pid[$1]=$!
     disown

@@ -140,6 +140,8 @@ static void fill_member(int holds)
     for (int i = 0; i < holds; i++) {
         snprintf(member.hold[i].take, TAKE_ID_CAP, "%s", FULL_TAKE);
         snprintf(member.hold[i].part, TAKE_ID_CAP, "%08x-%06d", 0xfeedu, i);
+        member.hold[i].bytes = 2000000 + i;
+        memset(member.hold[i].sha256, 'f', SHA256_HEX_CAP - 1);
     }
 }
 

@@ -1,0 +1,176 @@
+#!/usr/bin/env bash
+# check.sh - a rig of MEMBERS boards as processes with simulated cameras, each in a network namespace
+# and with a monotonic clock of its own, a real broker, links as LINK says (netem), for TAKES presses
+# without and as many with faults: boards, conductor and broker killed, links cut, a disk full. It
+# prints how long presses took, how far apart exposures began, whether the reported times are the
+# true ones, and what the faults did; then transfer over a link of RATE.
+# Run by make check-rig, from the root with HDRIG, BIN and OUT.
+. tests/e2e/common.bash
+MEMBERS=${MEMBERS:-16} TAKES=${TAKES:-25}
+LINK=${LINK:-delay 0.3ms 0.1ms loss 0.05%}
+SPACES=yes
+ip netns add hdrig-check 2>/dev/null && ip netns del hdrig-check || SPACES=
+[ -n "$SPACES" ] || echo "not checked: no network namespaces may be made here, all boards share one"
+. tests/rig/boards.bash
+LOG=$OUT/presses.txt
+boards=$(seq -s ' ' 0 $((MEMBERS - 1)) | sed 's/^/b/; s/ / b/g')
+RANDOM=${SEED:-1}
+
+start_rig() { # lines of the conductor...
+    local i listed=()
+    for i in $(seq 0 $((MEMBERS - 1))); do
+        listed+=("rig.member.$((i + 1)) = b$i")
+    done
+    settings hub conductor 0 "${listed[@]}" "$@"
+    board hub
+    for i in $(seq 0 $((MEMBERS - 1))); do
+        settings b$i member $((i + 1)) "camera.1 = $(camera $i "$MEMBERS")" "store.merge = 0"
+        board b$i
+    done
+    wait_ready 120 || fail "the rig is not ready: $(sentence)"
+}
+
+press() { # into the log: seconds, code, what it said
+    local begin=$EPOCHREALTIME text code
+    text=$(timeout 90 "$HDRIG" capture --config "$OUT/hub/hdrig.conf" 2>&1)
+    code=$?
+    awk -v b="$begin" -v e="$EPOCHREALTIME" -v c=$code -v t="${text//$'\n'/ }" \
+        'BEGIN { printf "%.3f %d %s\n", e - b, c, t }' >>"$LOG"
+    [ -n "$text" ] || fail "a press ended without a word"
+}
+
+settle() { # until no part is held and no take waits
+    for _ in $(seq 600); do
+        [ "$(held) $(waiting)" = "0 0" ] && return
+        sleep 0.1
+    done
+    fail "$(held) parts are held, $(waiting) takes wait: $(sentence)"
+}
+
+# Frames whose time on the common clock is wrong by more than is said. The true time of a frame is
+# that of its board's monotonic clock, less the offset that the clock was given.
+wrong_times() { # manifest
+    awk -v offsets="$(cat "$OUT/offsets.txt" | tr '\n' ' ')" '
+        BEGIN { count = 0; n = split(offsets, o, " "); for (i = 1; i <= n; i += 2) shift[o[i]] = o[i + 1] }
+        /^ *{"camera": / {
+            match($0, /"camera": [0-9]+/); camera = substr($0, RSTART + 10, RLENGTH - 10)
+            match($0, /"common_ns": "[0-9]+/); common = substr($0, RSTART + 14, RLENGTH - 14)
+            match($0, /"within_ns": "[0-9]+/); within = substr($0, RSTART + 14, RLENGTH - 14)
+            start = $0; sub(/.*"start": {"monotonic_ns": "/, "", start)
+            # the last 15 digits: doubles hold them
+            c = substr(common, length(common) - 13) + 0
+            t = (start + 0) - shift["b" camera] * 1e9
+            d[count] = c - t % 1e14; w[count++] = within + 0
+        }
+        END {
+            low = -1e18; high = 1e18
+            for (i = 0; i < count; i++) {
+                x = d[i] % 1e14
+                if (x < 0) x += 1e14
+                if (x - w[i] > low) low = x - w[i]
+                if (x + w[i] < high) high = x + w[i]
+            }
+            print count, (low <= high ? 0 : 1)
+        }' "$1"
+}
+
+spread() { # title, numbers on stdin: least, median, most
+    sort -n | awk -v t="$1" '{ v[NR] = $1 }
+        END { printf "%-44s %8.3g %8.3g %8.3g  (%d)\n", t, v[1], v[int((NR + 1) / 2)], v[NR], NR }'
+}
+
+# ---- a rig at rest ----
+
+: >"$LOG"
+make_hub
+address[hub]=$hub
+broker
+for i in $(seq 0 $((MEMBERS - 1))); do make_space b$i $((i + 1)) || fail "no namespace"; done
+[ -z "$SPACES" ] || echo "links: $link"
+start_rig "bracket.mode = list" "bracket.ev = -2 0 2" "bracket.middle_us = 2000" \
+    "bracket.skew_ms = 200"
+printf '%-44s %8s %8s %8s\n' "$MEMBERS boards" least median most
+for _ in $(seq "$TAKES"); do
+    press
+    wait_ready 20 || fail "not ready again: $(sentence)"
+done
+settle
+grep -c "$OUT/hub/store" "$LOG" | grep -qx "$TAKES" ||
+    fail "at rest: $(grep -v "$OUT/hub/store" "$LOG" | head -n 3)"
+cut -d' ' -f1 "$LOG" | spread "press to joint take, s"
+joints | xargs grep -ho '"skew_s": [0-9.e-]*' | awk '{ print $2 * 1000 }' |
+    spread "largest difference between starts, ms"
+joints | xargs grep -ho '"within_ns": "[0-9]*' | awk -F'"' '{ print $4 / 1e6 }' |
+    spread "bound of a frame's time, ms"
+if [ -n "$SPACES" ]; then
+    for m in $(joints); do wrong_times "$m"; done | awk '{ n += $1; wrong += $2 }
+        END { printf "takes whose times contradict the true ones: %d (%d frames)\n", wrong, n
+              exit wrong > 0 }' || fail "reported times are not the true ones"
+fi
+grep -h 'VmHWM\|VmRSS' "/proc/${pid[hub]}/status" | awk '{ v[NR] = $2 / 1000 }
+    END { printf "memory of the conductor: %.1f MB, at most %.1f MB\n", v[2], v[1] }'
+before=$(ls "/proc/${pid[hub]}/fd" | wc -l)
+
+# ---- faults ----
+
+revive() { # board after a while
+    sleep 0.$((RANDOM % 10))
+    kill -KILL "${pid[$1]}" 2>/dev/null
+    sleep $((RANDOM % 2)).$((RANDOM % 10))
+    board "$1"
+}
+
+kills=0 cuts=0 brokers=0 leaders=0 full=0
+for take in $(seq "$TAKES"); do
+    board=b$((RANDOM % MEMBERS))
+    link=$tag$((${board#b} + 1))
+    press &
+    asking=$!
+    sleep 0.$((RANDOM % 10))$((RANDOM % 10))
+    case $((RANDOM % 8)) in
+    0 | 1 | 2)
+        revive $board
+        kills=$((kills + 1))
+        ;;
+    3 | 4)
+        [ -z "$SPACES" ] || {
+            space hub ip link set $link down
+            sleep $((RANDOM % 12))
+            space hub ip link set $link up
+            cuts=$((cuts + 1))
+        }
+        ;;
+    5)
+        kill -KILL "${pid[broker]}"
+        sleep 0.5
+        broker
+        brokers=$((brokers + 1))
+        ;;
+    6)
+        revive hub
+        leaders=$((leaders + 1))
+        ;;
+    7) # as good as full: no file can grow
+        prlimit --pid "${pid[$board]}" --fsize=2000:2000 2>/dev/null && full=$((full + 1))
+        sleep 1
+        revive $board
+        ;;
+    esac
+    wait $asking
+    wait_ready 60 || fail "after take $take the rig is not ready: $(sentence)"
+done
+settle
+echo "$((TAKES)) presses with faults: $kills boards killed, $cuts links cut, $brokers brokers and $leaders" \
+    "conductors killed, $full disks full; $(tail -n "$TAKES" "$LOG" | grep -c "$OUT/hub/store") told" \
+    "of a joint take, $(tail -n "$TAKES" "$LOG" | grep -vc "$OUT/hub/store") of a reason"
+tail -n "$TAKES" "$LOG" | grep -v "$OUT/hub/store" | cut -d' ' -f3- | sed 's/b[0-9]*/bN/g; s/[0-9.]* s/N s/' |
+    sort | uniq -c | sort -rn | head -n 12
+n=0
+for m in $(joints); do
+    check_joint "$m" "$boards" 200
+    n=$((n + 1))
+done
+echo "$n joint takes: each whole, of its boards in their order, of one moment"
+after=$(ls "/proc/${pid[hub]}/fd" | wc -l)
+[ "$leaders" -gt 0 ] || [ $((after - before)) -le 2 ] || fail "descriptors: $before, then $after"
+finish
