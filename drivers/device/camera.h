@@ -74,6 +74,9 @@ struct camera_info {
     int exposure_delay, gain_delay; // frames from the one that runs during a request to the first
                                     // that shows it; -1 not known
     enum camera_stamp stamp;        // what timestamp_ns means
+    bool ends_on_grid;              // exposures end one frame after the other, as where a shutter
+                                    // runs ahead of readout: shorter ones begin later; else all
+                                    // begin so
     bool reports;                   // frames say their exposure
     bool limited, bt709;            // YUV: 16..235 instead of 0..255; its matrix, else BT.601
 };

@@ -215,6 +215,7 @@ static void fill_info(struct state *s)
     o->black = l->bits > 8 && black > 0 ? black >> (16 - l->bits) : 0;
     o->buffers = s->queue.n;
     o->stamp = stamps_start ? CAMERA_STAMP_START : CAMERA_STAMP_END;
+    o->ends_on_grid = true;
     o->limited = l->limited;
     o->bt709 = l->bt709;
     v4l2_shutter_info(&s->shutter, o);

@@ -390,6 +390,7 @@ void describe_stream(session &s, camera_stamp stamp)
     i.buffers = static_cast<int>(s.requests.size());
     i.exposure_delay = i.gain_delay = -1; // as many as are queued, and the sensor's
     i.stamp = stamp;
+    i.ends_on_grid = true;
     if (stream.colorSpace) {
         i.limited = stream.colorSpace->range == lc::ColorSpace::Range::Limited;
         i.bt709 = stream.colorSpace->ycbcrEncoding == lc::ColorSpace::YcbcrEncoding::Rec709;

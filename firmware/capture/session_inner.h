@@ -26,7 +26,7 @@ enum { SESSION_STARTS = 64 };
 struct frame_starts {
     int skip; // frames to pass over first
     int n;
-    int64_t ns[SESSION_STARTS]; // oldest first
+    int64_t ns[SESSION_STARTS]; // oldest first; of frames, not of exposures
     double len;                 // of a frame, ns, as before a shift by `len_n` frames
     int len_n;
     bool fixed; // the length of frames cannot be changed

@@ -1,10 +1,11 @@
 /* The start of a plan at a given time. Sensors run free: frame n of a camera begins at F(n) = at +
  * n len, and a request that is made during frame n shows in frame n + delay. A line through the
- * starts of the last frames gives `at` and `len`, so the clock of the sensor need not be ours.
+ * starts of the last frames gives `at` and `len`, so the clock of the sensor need not be ours. Where
+ * exposures end with their frames, a shorter one begins later in it, by `late`.
  * One BEGIN serves all cameras: of the moments between two borders of any frames, that is taken
- * which makes the largest error |F(n + delay) - start| of all cameras least; then the widest, and
+ * which makes the largest error |F(n + delay) + late - start| of all cameras least; then the widest, and
  * its middle, as far as possible from the frames before and after.
- * A camera that can lengthen a frame is moved by (start - at) mod len before; then its error is that
+ * A camera that can lengthen a frame is moved by (start - late - at) mod len before; then its error is that
  * of the line, else it is up to half a frame. */
 #include "firmware/capture/session_inner.h"
 
@@ -27,6 +28,7 @@ enum {
 /* Frames of a camera that waits, ns from the start that was ordered. */
 struct frame_line {
     double at, len; // begin of some frame
+    double late;    // from the begin of a frame to that of the first exposure
     int delay;      // frames
     bool known;     // else as if a frame began at the start: then its middle is expected
 };
@@ -39,11 +41,19 @@ void session_start_forget(struct cam *c)
     c->starts.n = c->starts.len_n = 0;
 }
 
+/* From the begin of a frame to that of its exposure, ns. */
+static double lateness(const struct camera_info *info, double time_s)
+{
+    return info->ends_on_grid ? fmax(info->period_s - time_s, 0.0) * 1e9 : 0.0;
+}
+
 void session_start_see(struct session *s, int i, const struct frame *f, int64_t now)
 {
     const struct cam *c = &s->cam[i];
+    const struct camera_info *info = &c->about.info;
     struct frame_starts *w = &s->cam[i].starts;
     double time_s = f->exposure_known ? f->exposure.time_s : c->set.time_s;
+    double end = info->stamp == CAMERA_STAMP_END ? time_s * 1e9 : 0.0;
     int64_t at = f->timestamp_ns;
     if (w->skip > 0) {
         w->skip--;
@@ -51,8 +61,8 @@ void session_start_see(struct session *s, int i, const struct frame *f, int64_t 
     }
     if (at <= 0 || at < now - LATE_NS || at > now + LATE_NS)
         at = now; // it came as the next one began
-    else if (c->about.info.stamp == CAMERA_STAMP_END)
-        at -= (int64_t)(time_s * 1e9);
+    else
+        at -= (int64_t)(end + lateness(info, time_s));
     if (w->n > 0 && at <= w->ns[w->n - 1])
         w->n = 0; // the clock was set
     if (w->n == SESSION_STARTS)
@@ -94,12 +104,15 @@ static void fit_line(const struct frame_starts *w, int64_t start_ns, struct fram
     out->known = true;
 }
 
-static struct frame_line line_of(const struct session *s, const struct cam *c)
+static struct frame_line line_of(const struct session *s, int i)
 {
+    const struct cam *c = &s->cam[i];
     struct bracket_camera about;
     calib_camera(&c->about.info, c->calibrated ? &c->calib : NULL, &about);
     struct frame_line l = {.len = fmax(about.period_s, c->set.time_s) * 1e9,
+                           .late = lateness(&c->about.info, s->plan[i].requested[0].time_s),
                            .delay = (about.delay_lo + about.delay_hi + 1) / 2};
+    l.at = -l.late;
     if (c->starts.n >= LEAST)
         fit_line(&c->starts, s->order.start_ns, &l);
     return l;
@@ -110,7 +123,7 @@ static struct frame_line line_of(const struct session *s, const struct cam *c)
 /* How far from the start the first frame of the plan begins if it is asked for at t. */
 static double error_at(const struct frame_line *l, double t)
 {
-    return fabs(l->at + (floor((t - l->at) / l->len) + l->delay) * l->len);
+    return fabs(l->late + l->at + (floor((t - l->at) / l->len) + l->delay) * l->len);
 }
 
 /* The first border of a frame after t. */
@@ -136,7 +149,7 @@ static double best_moment(const struct frame_line *l, int n)
     double best = 0.0, least = INFINITY, moment;
     for (int i = 0; i < n; i++)
         for (int k = -1; k <= 1; k++) {
-            double frames = floor(-l[i].at / l[i].len + 0.5) + k - l[i].delay;
+            double frames = floor(-(l[i].at + l[i].late) / l[i].len + 0.5) + k - l[i].delay;
             double weight = weigh_moment(l, n, l[i].at + frames * l[i].len, &moment);
             best = weight < least ? moment : best;
             least = fmin(weight, least);
@@ -152,7 +165,7 @@ static err_t align_camera(struct session *s, int i, const struct frame_line *l)
 {
     struct cam *c = &s->cam[i];
     struct frame_starts *w = &c->starts;
-    double rest = fmod(fmod(-l->at, l->len) + l->len, l->len), set_s = 0.0;
+    double rest = fmod(fmod(-l->at - l->late, l->len) + l->len, l->len), set_s = 0.0;
     double left = (double)(s->until_ns - backends_now(c->ops, c->st)) / l->len;
     bool ready = w->n == SESSION_STARTS || (l->known && left < 2 * ROUND);
     if (!c->ops->shift || w->fixed || !ready || left < ROUND || rest < SLACK_NS ||
@@ -179,7 +192,7 @@ static err_t leave_exposure(struct session *s, int i)
 {
     struct cam *c = &s->cam[i];
     const struct camera_info *info = &c->about.info;
-    struct frame_line l = line_of(s, c);
+    struct frame_line l = line_of(s, i);
     double left = (double)(s->order.start_ns - backends_now(c->ops, c->st));
     double first = s->plan[i].requested[0].time_s, base = 0.5 * first;
     if (base < info->time_min_s || c->about.light.hz > 0.0) // whole periods of it
@@ -208,7 +221,7 @@ bool session_start_due(const struct session *s, int i)
     int64_t now = backends_now(c->ops, c->st);
     // a clock of its own stands still between frames
     bool own = c->ops->now && c->ops->now(c->st) != 0;
-    return now + (own ? (int64_t)line_of(s, c).len : 0) > s->until_ns;
+    return now + (own ? (int64_t)line_of(s, i).len : 0) > s->until_ns;
 }
 
 err_t session_start_wait(struct session *s)
@@ -219,7 +232,7 @@ err_t session_start_wait(struct session *s)
     if (s->lost)
         return err_fail(ERR_LOST, "a camera was lost before the start");
     for (int i = 0; i < s->n; i++)
-        line[i] = line_of(s, &s->cam[i]);
+        line[i] = line_of(s, i);
     s->until_ns = s->order.start_ns + (int64_t)best_moment(line, s->n);
     for (int i = 0; i < s->n && !e; i++)
         e = align_camera(s, i, &line[i]);

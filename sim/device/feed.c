@@ -48,6 +48,7 @@ const struct uri_key feed_keys[] = {
     {"startup", AT(startup), URI_WHOLE, 0, 1000, NULL},   // frames wrongly exposed at first
     {"drift", AT(drift_ppm), URI_REAL, -1e4, 1e4, NULL},  // ppm, that frames are longer
     {"wobble", AT(wobble_us), URI_REAL, 0, 1e6, NULL},    // us, that frames start early or late
+    {"grid", AT(grid), URI_WORD, 0, 0, "start|end"},      // what of exposures comes once a frame
     {"shift", AT(shift), URI_WORD, 0, 0, "no|yes"},       // whether a frame can be lengthened
 };
 const int feed_n_keys = (int)(sizeof feed_keys / sizeof feed_keys[0]);
@@ -224,6 +225,7 @@ void feed_info(const void *st, struct camera_info *out)
                                 .time_step_s = t->step_s,
                                 .gain_max = t->gain_max,
                                 .stamp = (enum camera_stamp)f->opt.stamp,
+                                .ends_on_grid = f->opt.grid != 0,
                                 .reports = f->opt.metadata != FEED_ABSENT};
     memcpy(out->unit, s->unit, sizeof out->unit);
     out->time_max_s = timing_time(t, t->longest_s);
@@ -374,11 +376,17 @@ static struct exposure true_exposure(struct feed *f, int64_t number, struct expo
     return e;
 }
 
+/* When the exposure of a frame begins, or ends. */
+static int64_t exposure_at(const struct feed *f, const struct timing_frame *t, bool end)
+{
+    int64_t length = (int64_t)fmin(t->time_s * 1e9, (double)(t->end_ns - t->start_ns));
+    int64_t begin = f->opt.grid ? t->end_ns - length : t->start_ns;
+    return end ? begin + length : begin;
+}
+
 static int64_t stamp_of(const struct feed *f, const struct timing_frame *t)
 {
-    int64_t at = t->start_ns;
-    if (f->opt.stamp == CAMERA_STAMP_END)
-        at += (int64_t)fmin(t->time_s * 1e9, (double)(t->end_ns - t->start_ns));
+    int64_t at = exposure_at(f, t, f->opt.stamp == CAMERA_STAMP_END);
     if (f->fx.stamp_real)
         at += clocks_at(0).realtime_ns;
     return f->fx.stamp_zero ? 0 : at + f->fx.stamp_add_ns;
@@ -403,9 +411,10 @@ static struct feed_item describe_frame(struct feed *f, const struct timing_frame
     snap_exposure(f, &programmed, false);
     item.reported = f->opt.metadata == FEED_LATE ? f->last_programmed : programmed;
     f->last_programmed = programmed;
-    item.shot = (struct feed_shot){.exposure = true_exposure(f, t->number, programmed),
-                                   .start_s = (double)(t->start_ns - f->base_ns) * 1e-9,
-                                   .number = t->number};
+    item.shot =
+        (struct feed_shot){.exposure = true_exposure(f, t->number, programmed),
+                           .start_s = (double)(exposure_at(f, t, false) - f->base_ns) * 1e-9,
+                           .number = t->number};
     item.shot.pick = snap_exposure(f, &item.shot.exposure, false);
     item.shot.red = f->fx.balance;
     item.shot.blue = 1.0 / f->fx.balance;

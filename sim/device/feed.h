@@ -25,7 +25,7 @@ enum feed_metadata { FEED_CORRECT, FEED_ABSENT, FEED_LATE };
 struct feed_options {
     double fps, step_us, longest_us, gain_max, first_us, skew_us, drift_ppm, wobble_us;
     int64_t delay, gain_delay, jitter, claim, startup;
-    int length, readback, metadata, virtual, stamp, shift;
+    int length, readback, metadata, virtual, stamp, grid, shift;
     char faults[URI_TEXT], truth[URI_TEXT], node[URI_TEXT];
 };
 

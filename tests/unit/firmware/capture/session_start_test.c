@@ -114,8 +114,9 @@ static double worst_of(int rigs, int takes, double lead, const char *options)
     double worst = 0, sum = 0;
     for (int k = 0; k < rigs; k++) {
         char text[256];
-        snprintf(text, sizeof text, "delay=%d,stamp=%s,metadata=%s,%s", k % 3 + 1,
-                 k % 2 ? "end" : "start", k % 5 == 4 ? "absent" : "correct", options);
+        snprintf(text, sizeof text, "delay=%d,stamp=%s,grid=%s,metadata=%s,%s", k % 3 + 1,
+                 k % 2 ? "end" : "start", k / 2 % 2 ? "end" : "start",
+                 k % 5 == 4 ? "absent" : "correct", options);
         open_rig(k / 6 % 3 + 1, text);
         for (int i = 0; i < takes; i++) {
             struct session_order o = order_in(lead, 1.7 * lead);
