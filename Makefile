@@ -5,6 +5,7 @@
 # make install    DESTDIR= PREFIX= BOARD=           make deb     Debian package, BOARD=
 # make uninstall  DESTDIR= PREFIX=                  removes what install wrote
 # make check-kernel  drivers under real kernels: TEST=gpio, BENCH=uml|qemu
+# make check-rig     a rig of boards in network namespaces: MEMBERS=16 TAKES=25 SEED=1, as root
 # make check-distro  on another Debian, as root: SUITE=trixie|bookworm
 # make check-train   the training of the small network: PYTHON= with PyTorch
 # make fuzz       SECONDS= for each target (clang)
@@ -120,7 +121,7 @@ MODULE_NEEDS := drivers/device/libcamera_shim.cpp $(wildcard drivers/device/libc
 # --- build ----------------------------------------------------------------------------------------
 .PHONY: all demo libsim check check-long test lint format deps deps-check install uninstall deb \
 	clean fuzz bench picture objects tests tsan-tests arm-tests fault-tests fuzz-targets check-kernel \
-	check-train check-distro edge-tests inner-tests deps-kernel deps-qemu deps-cross
+	check-train check-distro check-rig edge-tests inner-tests deps-kernel deps-qemu deps-cross
 .DELETE_ON_ERROR:
 .SECONDARY:
 
@@ -318,6 +319,10 @@ lint: deps-check
 
 check-kernel: deps-kernel $(TOOLS) $(MODULE) $(call programs,$(LINUX))
 	@tests/linux/run.sh $(B)/tests/linux $(TEST)
+
+check-rig: deps-check all $(B)/tests/e2e/verify_take
+	@rm -rf build/e2e/check-rig && mkdir -p build/e2e/check-rig
+	@HDRIG=$(B)/hdrig BIN=$(B)/tests/e2e OUT=build/e2e/check-rig tests/rig/check.sh
 
 check-distro:
 	@tests/distro.sh "$(SUITE)"
