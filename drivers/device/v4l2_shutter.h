@@ -41,8 +41,8 @@ MUST_USE err_t v4l2_shutter_freeze(const struct v4l2_node *n);
 MUST_USE err_t v4l2_shutter_open(struct v4l2_shutter *c, const struct v4l2_layout *l,
                                  double longest_s, double period_s);
 
-/* See camera_ops.shift. With the next frame that arrives, v4l2_shutter_shifted makes them as long as
- * before: both writes go to the sensor one frame apart, and so take effect.
+/* See camera_ops.shift. With the next frame that arrives, v4l2_shutter_shifted makes frames as long
+ * as before: both writes go to the sensor one frame apart, and so take effect.
  * err:  as camera_ops.shift; of v4l2_shutter_shifted those that set a control */
 MUST_USE err_t v4l2_shutter_shift(struct v4l2_shutter *c, double seconds, double *shift);
 MUST_USE err_t v4l2_shutter_shifted(struct v4l2_shutter *c);

@@ -1,12 +1,12 @@
 /* The start of a plan at a given time. Sensors run free: frame n of a camera begins at F(n) = at +
  * n len, and a request that is made during frame n shows in frame n + delay. A line through the
- * starts of the last frames gives `at` and `len`, so the clock of the sensor need not be ours. Where
- * exposures end with their frames, a shorter one begins later in it, by `late`.
+ * starts of the last frames gives `at` and `len`, so the clock of the sensor need not be ours.
+ * Where exposures end with their frames, a shorter one begins later in its frame, by `late`.
  * One BEGIN serves all cameras: of the moments between two borders of any frames, that is taken
- * which makes the largest error |F(n + delay) + late - start| of all cameras least; then the widest, and
- * its middle, as far as possible from the frames before and after.
- * A camera that can lengthen a frame is moved by (start - late - at) mod len before; then its error is that
- * of the line, else it is up to half a frame. */
+ * which makes the largest error |F(n + delay) + late - start| of all cameras least; of equals the
+ * widest, and its middle, as far as possible from the frames before and after.
+ * A camera that can lengthen a frame is moved by (start - late - at) mod len before; then its error
+ * is that of the line, else it is up to half a frame. */
 #include "firmware/capture/session_inner.h"
 
 #include "firmware/base/backends.h"
