@@ -186,7 +186,7 @@ static err_t align_camera(struct session *s, int i, const struct frame_line *l)
 
 /* ---- waiting ---- */
 
-/* A first exposure as good as that of waiting shows too early, and one near it has to be proven from
+/* A first exposure that is that of waiting shows too early, and one near it has to be proven from
  * rest, too late: if there is time, the camera waits at another. */
 static err_t leave_exposure(struct session *s, int i)
 {

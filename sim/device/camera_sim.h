@@ -14,8 +14,8 @@
  *
  * and the keys of sim/device/feed.c: clock, timing, metadata, faults (sim/device/fault.h), truth.
  * When frames start: skew=US of frame 0 after open, drift=PPM of the sensor's clock, wobble=US of
- * each frame; grid=start|end of exposures; shift=yes lets camera_ops.shift lengthen one, by whole rows if `line` is given, else
- * by whole us.
+ * each frame; grid=start|end: what of its exposure comes once a frame; shift=yes lets
+ * camera_ops.shift lengthen one, by whole rows if `line` is given, else by whole us.
  * In a program, feed_truth and feed_now of sim/device/feed.h work with the state. */
 #ifndef DEVICE_CAMERA_SIM_H
 #define DEVICE_CAMERA_SIM_H

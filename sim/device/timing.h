@@ -62,7 +62,7 @@ double timing_gain(const struct timing_cfg *c, double gain);
 /* Write both controls during the frame that runs. */
 void timing_write(struct timing *t, double time_s, double gain);
 
-/* Lengthen the frame that a control written now applies to; false: one is still to be lengthened. */
+/* Lengthen the frame that a control written now applies to; false: one is still to be. */
 bool timing_shift(struct timing *t, int64_t ns);
 
 /* Finish the frame that runs and begin the next one.
