@@ -600,6 +600,11 @@ double session_longest_s(const struct session *s)
     return longest;
 }
 
+double session_lead_s(const struct session *s)
+{
+    return session_start_lead_s(s);
+}
+
 int session_cameras(const struct session *s)
 {
     return s->n;

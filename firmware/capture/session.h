@@ -51,6 +51,10 @@ const char *session_status(const struct session *s);
 /* The longest exposure in force or asked for, s: nothing ends sooner. */
 double session_longest_s(const struct session *s);
 
+/* How long before start_ns an order must come, s, so that its first frame begins as near to it as
+ * can be: from now on, if no exposure changes. */
+double session_lead_s(const struct session *s);
+
 int session_cameras(const struct session *s);
 const struct take_camera *session_camera(const struct session *s, int i); // as last opened
 void session_progress(const struct session *s, struct bracket_progress *out);

@@ -119,6 +119,9 @@ MUST_USE err_t session_focus(struct session *s, bool again);
 void session_start_see(struct session *s, int camera, const struct frame *f, int64_t now);
 void session_start_forget(struct cam *c);
 
+/* session_lead_s */
+double session_start_lead_s(const struct session *s);
+
 /* PHASE_WAIT begins: until order.start_ns is so near that the plan must begin.
  * err:  as session_machine_arm */
 MUST_USE err_t session_start_begin(struct session *s);

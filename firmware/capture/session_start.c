@@ -157,6 +157,20 @@ static double best_moment(const struct frame_line *l, int n)
     return best;
 }
 
+double session_start_lead_s(const struct session *s)
+{
+    double most = 0.0;
+    for (int i = 0; i < s->n; i++) {
+        const struct cam *c = &s->cam[i];
+        struct bracket_camera about;
+        calib_camera(&c->about.info, c->calibrated ? &c->calib : NULL, &about);
+        int frames = about.delay_hi + 2 + (c->ops->shift && !c->starts.fixed ? ROUND : 0);
+        frames += c->starts.skip + (c->starts.n < LEAST ? LEAST - c->starts.n : 0);
+        most = fmax(most, frames * fmax(about.period_s, c->set.time_s));
+    }
+    return most;
+}
+
 /* ---- alignment ---- */
 
 /* Lengthens a frame so that one begins at the start, if there is time to see what became of it; if

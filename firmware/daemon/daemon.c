@@ -250,6 +250,12 @@ static const char *on_trouble(void *ctx)
                                                                     : daemon_status_sentence(d);
 }
 
+static double on_lead(void *ctx)
+{
+    const struct daemon *d = ctx;
+    return d->session ? session_lead_s(d->session) : 0;
+}
+
 static err_t on_begin(void *ctx, const struct session_order *o)
 {
     struct daemon *d = ctx;
@@ -637,6 +643,7 @@ static err_t open_boards(struct daemon *d)
                                     .token = d->parts_token,
                                     .ctx = d,
                                     .trouble = on_trouble,
+                                    .lead_s = on_lead,
                                     .begin = on_begin,
                                     .stop = on_stop,
                                     .told = on_told};

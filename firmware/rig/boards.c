@@ -82,12 +82,14 @@ static void describe(struct boards *b, struct message_member *m)
     const char *trouble = b->cfg.trouble(b->cfg.ctx);
     *m = (struct message_member){.online = true, .cameras = b->cfg.cameras, .ready = !trouble};
     memcpy(m->boot, b->boot, sizeof m->boot);
+    memcpy(m->epoch, b->member.epoch, sizeof m->epoch);
     snprintf(m->version, sizeof m->version, "%s", b->cfg.version);
     memcpy(m->token, b->token, sizeof m->token);
     m->port = b->cfg.http_port;
     if (mqtt_address(b->mqtt, m->host, sizeof m->host) != OK)
         m->host[0] = 0;
     snprintf(m->sentence, sizeof m->sentence, "%s", trouble ? trouble : "ready to capture");
+    m->lead_ns = (int64_t)(fmin(b->cfg.lead_s(b->cfg.ctx), 60.0) * 1e9);
     m->free_mb =
         statvfs(b->set->store_path, &v) == 0 ? (double)v.f_bavail * (double)v.f_frsize / 1e6 : -1;
     m->clock_known = rigclock_read(&b->clock, clocks_now(), &c);

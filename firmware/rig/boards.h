@@ -22,6 +22,7 @@ struct boards_config {
     void *ctx;
     /* Whether an order could be followed now, else why not, as a sentence. */
     const char *(*trouble)(void *ctx);
+    double (*lead_s)(void *ctx); // session_lead_s
     /* Begin a take, end it. err: as session_begin and the store's */
     err_t (*begin)(void *ctx, const struct session_order *o);
     void (*stop)(void *ctx);

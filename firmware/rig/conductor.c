@@ -540,12 +540,14 @@ static void on_recorded(struct conductor *c, const struct conductor_event *ev)
         return;
     }
     snprintf(t->order.take, sizeof t->order.take, "%s", ev->take);
-    t->order.start_ns = ev->now_ns + c->cfg.common_ns + CONDUCTOR_LEAD_NS;
     t->ordered_ns = ev->now_ns;
+    int64_t lead_ns = 0;
     for (int k = 0; k < t->order.n; k++) {
         const struct conductor_member *m = conductor_members_find(c, t->order.member[k]);
         memcpy(t->boot[k], m->said.boot, sizeof t->boot[k]);
+        lead_ns = m->said.lead_ns > lead_ns ? m->said.lead_ns : lead_ns;
     }
+    t->order.start_ns = ev->now_ns + c->cfg.common_ns + CONDUCTOR_LEAD_NS + lead_ns;
     t->phase = TAKE_SHOOTING;
     order(c, &t->order, MESSAGE_SHOOT);
 }

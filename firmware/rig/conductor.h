@@ -38,7 +38,7 @@
 enum { CONDUCTOR_TAKES = 32, CONDUCTOR_ACTIONS = 256, CONDUCTOR_TRIES = 3 };
 
 #define CONDUCTOR_LISTEN_NS INT64_C(1500000000)
-#define CONDUCTOR_LEAD_NS INT64_C(400000000)    // from the order to its start: ten frames and more
+#define CONDUCTOR_LEAD_NS INT64_C(150000000)    // from the order to its start, beyond members' own
 #define CONDUCTOR_IDLE_NS INT64_C(5000000000)   // a member that does not follow by then never will
 #define CONDUCTOR_HANG_NS INT64_C(300000000000) // beyond the exposures: shooting and storing
 #define CONDUCTOR_AWAY_NS INT64_C(15000000000)  // a partial take does not wait longer

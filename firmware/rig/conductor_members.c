@@ -51,6 +51,8 @@ err_t conductor_members_check(const struct conductor *c, const struct conductor_
     if (strcmp(m->said.version, c->cfg.version) != 0)
         return err_fail(ERR_LOST, "%s runs hdrig %s, the conductor %s: install the same", m->name,
                         m->said.version, c->cfg.version);
+    if (strcmp(m->said.epoch, c->cfg.epoch) != 0)
+        return err_fail(ERR_LOST, "%s has not heard of this conductor yet", m->name);
     if (!m->said.ready)
         return err_fail(ERR_LOST, "%s: %s", m->name, m->said.sentence);
     if (!m->said.clock_known)

@@ -18,7 +18,8 @@ static const char hex[] = "0123456789abcdef", ids[] = "0123456789abcdef-",
 #define DISK_MAX_MB 1e12
 #define BALANCE_MAX 100.0
 #define SERIAL_MAX 1e18
-#define TIME_MAX_NS 4e18   // until 2096; differences fit into 64 bits
+#define TIME_MAX_NS 4e18 // until 2096; differences fit into 64 bits
+#define LEAD_MAX_NS 3600e9
 #define WITHIN_MAX_NS 1e18 // added to one, too
 
 /* ---- topics ---- */
@@ -271,12 +272,14 @@ static err_t member_body(const char *what, const struct cJSON *doc, void *out)
         {"boot", TEXT, AT(message_member, boot), 0, 0, hex, MESSAGE_EPOCH_CAP},
     };
     static const struct field rest[] = {
+        {"epoch", TEXT, AT(message_member, epoch), 0, 0, hex, MESSAGE_EPOCH_CAP},
         {"version", TEXT, AT(message_member, version), 0, 0, words, MESSAGE_WORD_CAP},
         {"host", TEXT, AT(message_member, host), 0, 0, words, MESSAGE_HOST_CAP},
         {"port", WHOLE, AT(message_member, port), 0, PORT_MAX, NULL, 0},
         {"token", TEXT, AT(message_member, token), 0, 0, hex, MESSAGE_TOKEN_CAP},
         {"cameras", WHOLE, AT(message_member, cameras), 0, BRACKET_CAMERAS_MAX, NULL, 0},
         {"ready", TRUTH, AT(message_member, ready), 0, 0, NULL, 0},
+        {"lead_ns", NS, AT(message_member, lead_ns), 0, LEAD_MAX_NS, NULL, 0},
         {"sentence", SENTENCE, AT(message_member, sentence), 0, 0, NULL, TAKE_TEXT},
         {"free_mb", REAL, AT(message_member, free_mb), -1, DISK_MAX_MB, NULL, 0},
         {"clock_known", TRUTH, AT(message_member, clock_known), 0, 0, NULL, 0},
@@ -306,9 +309,11 @@ void message_write_member(const struct message_member *m, FILE *f)
     fprintf(f, "{\"online\": %s, \"boot\": \"%s\"", m->online ? "true" : "false", m->boot);
     if (m->online) {
         fprintf(f,
-                ", \"version\": \"%s\", \"host\": \"%s\", \"port\": %d, \"token\": \"%s\", "
-                "\"cameras\": %d, \"ready\": %s, \"sentence\": ",
-                m->version, m->host, m->port, m->token, m->cameras, m->ready ? "true" : "false");
+                ", \"epoch\": \"%s\", \"version\": \"%s\", \"host\": \"%s\", \"port\": %d, "
+                "\"token\": \"%s\", "
+                "\"cameras\": %d, \"ready\": %s, \"lead_ns\": \"%" PRId64 "\", \"sentence\": ",
+                m->epoch, m->version, m->host, m->port, m->token, m->cameras,
+                m->ready ? "true" : "false", m->lead_ns);
         json_put_string(f, m->sentence);
         fprintf(f,
                 ", \"free_mb\": %.0f, \"clock_known\": %s, \"within_ns\": \"%" PRId64

@@ -68,13 +68,15 @@ struct message_hold {
 /* MESSAGE_MEMBER */
 struct message_member {
     bool online;
-    char boot[MESSAGE_EPOCH_CAP]; // one run of a member; hex digits
+    char boot[MESSAGE_EPOCH_CAP];  // one run of a member; hex digits
+    char epoch[MESSAGE_EPOCH_CAP]; // conductor that it follows
     char version[MESSAGE_WORD_CAP];
     char host[MESSAGE_HOST_CAP]; // where its parts are: an address, a port, and the token for them
     int port;
     char token[MESSAGE_TOKEN_CAP];
     int cameras;
     bool ready;               // would take an order now
+    int64_t lead_ns;          // how long before its start an order must come (session_lead_s)
     char sentence[TAKE_TEXT]; // what it does or waits for
     double free_mb;
     bool clock_known;

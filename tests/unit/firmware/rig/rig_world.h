@@ -43,6 +43,7 @@ static void say(struct world *w, int k)
     snprintf(m.boot, sizeof m.boot, "%08" PRIx64, (uint64_t)n->life);
     strcpy(m.version, "1");
     strcpy(m.sentence, "works");
+    memcpy(m.epoch, n->machine.epoch, sizeof m.epoch);
     m.clock_known = rigclock_read(&n->clock, mono(w, k), &c);
     m.within_ns = c.within_ns;
     m.serial = n->machine.order.serial;
