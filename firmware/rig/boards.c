@@ -302,16 +302,17 @@ static void fetch_part(struct boards *b, const struct conductor_action *a)
     memcpy(k.member, a->name, sizeof k.member);
     if (b->has_member && strcmp(a->name, b->member.name) == 0)
         k.kind = TASK_OWN;
-    for (int i = 0; i < b->conductor.n; i++) {
+    int i = 0;
+    while (i < b->conductor.n && strcmp(b->conductor.member[i].name, a->name) != 0)
+        i++;
+    if (i < b->conductor.n) {
         const struct message_member *m = &b->conductor.member[i].said;
         const bool v6 = strchr(m->host, ':') != NULL;
-        if (strcmp(b->conductor.member[i].name, a->name) != 0)
-            continue;
         snprintf(k.url, sizeof k.url, "http://%s%s%s:%d", v6 ? "[" : "", m->host, v6 ? "]" : "",
                  m->port);
         memcpy(k.token, m->token, sizeof k.token);
     }
-    add_task(b->fetch, &k);
+    add_task(b->fetch[i % BOARDS_FETCHERS], &k);
 }
 
 static void do_on_disk(struct boards *b, enum task_kind kind, const struct conductor_action *a)
@@ -421,17 +422,16 @@ static void take_outcome(struct boards *b, const struct task *k)
 
 int boards_poll(const struct boards *b, struct pollfd *fds, int cap, int64_t *deadline_ns)
 {
-    const int all[BOARDS_FDS] = {mqtt_fd(b->mqtt), tasks_fd(b->disk),
-                                 b->fetch ? tasks_fd(b->fetch) : -1};
-    int n = 0;
+    int all[BOARDS_FDS] = {mqtt_fd(b->mqtt), tasks_fd(b->disk)}, n_all = 2, n = 0;
+    for (int i = 0; i < BOARDS_FETCHERS && b->has_conductor; i++)
+        all[n_all++] = tasks_fd(b->fetch[i]);
     *deadline_ns = b->has_member && b->member.led ? b->ask_ns : INT64_MAX;
     if (b->has_conductor) {
         const int64_t due = conductor_deadline(&b->conductor, clocks_now());
         *deadline_ns = due < *deadline_ns ? due : *deadline_ns;
     }
-    for (int i = 0; i < BOARDS_FDS && n < cap; i++)
-        if (all[i] >= 0)
-            fds[n++] = (struct pollfd){.fd = all[i], .events = POLLIN};
+    for (int i = 0; i < n_all && n < cap; i++)
+        fds[n++] = (struct pollfd){.fd = all[i], .events = POLLIN};
     return n;
 }
 
@@ -454,8 +454,9 @@ void boards_step(struct boards *b)
     }
     while (tasks_outcome(b->disk, k))
         take_outcome(b, k);
-    while (b->fetch && tasks_outcome(b->fetch, k))
-        take_outcome(b, k);
+    for (int i = 0; i < BOARDS_FETCHERS && b->has_conductor; i++)
+        while (tasks_outcome(b->fetch[i], k))
+            take_outcome(b, k);
     const int64_t now = clocks_now();
     boards_tell_conductor(b, (struct conductor_event){.kind = CONDUCTOR_TICK});
     ask_time(b, now);
@@ -522,7 +523,8 @@ void boards_close(struct boards *b)
     if (b->mqtt)
         say_goodbye(b);
     mqtt_close(b->mqtt);
-    tasks_close(b->fetch);
+    for (int i = 0; i < BOARDS_FETCHERS; i++)
+        tasks_close(b->fetch[i]);
     tasks_close(b->disk);
     free(b);
 }

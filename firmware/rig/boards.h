@@ -30,7 +30,7 @@ struct boards_config {
     void (*told)(void *ctx, err_t err, const char *id, const char *text, bool asked);
 };
 
-enum { BOARDS_FDS = 3 };
+enum { BOARDS_FETCHERS = 4, BOARDS_FDS = 2 + BOARDS_FETCHERS };
 
 struct boards;
 

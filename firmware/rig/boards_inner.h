@@ -20,8 +20,9 @@ struct boards {
     struct boards_config cfg;
     const struct config *set;
     struct mqtt *mqtt;
-    struct tasks *disk, *fetch; // fetch: of a conductor
-    char broker[TAKE_TEXT];     // why it is not reached; "" if it is
+    struct tasks *disk;
+    struct tasks *fetch[BOARDS_FETCHERS]; // of a conductor: parts of several boards at a time
+    char broker[TAKE_TEXT];               // why it is not reached; "" if it is
     char boot[MESSAGE_EPOCH_CAP], epoch[MESSAGE_EPOCH_CAP], token[MESSAGE_TOKEN_CAP];
     int64_t heard_ns;      // when the present message was read
     int64_t press_sent_ns; // the last press of a member

@@ -193,8 +193,8 @@ static err_t open_conductor(struct boards *b)
     err_t e = conductor_init(&b->conductor, &c);
     if (!e)
         e = read_views(b);
-    if (!e)
-        e = tasks_open("fetch", b->cfg.store, b->set->store_path, &b->fetch);
+    for (int i = 0; i < BOARDS_FETCHERS && !e; i++)
+        e = tasks_open("fetch", b->cfg.store, b->set->store_path, &b->fetch[i]);
     for (int i = e ? 0 : joint_pending(b->set->store_path, ids, CONDUCTOR_TAKES) - 1; !e && i >= 0;
          i--) {
         struct message_order o;
