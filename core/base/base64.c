@@ -16,3 +16,46 @@ char *base64_encode(char *out, const void *bytes, size_t n)
     }
     return out;
 }
+
+char *base64_encode_url(char *out, const void *bytes, size_t n)
+{
+    char *end = base64_encode(out, bytes, n);
+    while (end > out && end[-1] == '=')
+        end--;
+    for (char *p = out; p < end; p++)
+        *p = *p == '+' ? '-' : *p == '/' ? '_' : *p;
+    return end;
+}
+
+static int value_of(char digit)
+{
+    if (digit >= 'A' && digit <= 'Z')
+        return digit - 'A';
+    if (digit >= 'a' && digit <= 'z')
+        return digit - 'a' + 26;
+    if (digit >= '0' && digit <= '9')
+        return digit - '0' + 52;
+    return digit == '-' ? 62 : digit == '_' ? 63 : -1;
+}
+
+bool base64_decode_url(const char *text, size_t n, void *out, size_t *bytes)
+{
+    uint8_t *to = out;
+    uint32_t v = 0;
+    int bits = 0; // of v that are not written yet
+    *bytes = 0;
+    for (size_t i = 0; i < n; i++) {
+        const int digit = value_of(text[i]);
+        if (digit < 0)
+            return false;
+        v = v << 6 | (uint32_t)digit;
+        bits += 6;
+        if (bits < 8)
+            continue;
+        bits -= 8;
+        *to++ = (uint8_t)(v >> bits);
+        v &= (1u << bits) - 1;
+        (*bytes)++;
+    }
+    return n % 4 != 1 && v == 0;
+}

@@ -40,7 +40,7 @@ static err_t spawn_child(struct child *c, char *const argv[], int out, bool all)
     if (!why)
         why = posix_spawn_file_actions_adddup2(&files, out, 2);
     if (!why)
-        why = posix_spawn(&c->pid, argv[0], &files, &attr, argv, environ);
+        why = posix_spawnp(&c->pid, argv[0], &files, &attr, argv, environ);
     posix_spawnattr_destroy(&attr);
     posix_spawn_file_actions_destroy(&files);
     if (!why)

@@ -147,6 +147,9 @@ static const struct key keys[] = {
     {"http.address", FIELD(http_address), 0, 0, 1, 0, "address of the status page", TEXT,
      "127.0.0.1", 0},
     {"http.token", FIELD(http_token), 0, 0, 1, 0, "password of the status page", TEXT, "", 0},
+    {"http.token_file", FIELD(http_token_file), 0, 0, 1, 0,
+     "file with that password, which others need not be able to read, if http.token is empty", TEXT,
+     "", 0},
 };
 
 enum { N_KEYS = sizeof keys / sizeof keys[0], QUOTE_MAX = 100, LINE_MAX_WORDS = 90 };
@@ -443,7 +446,8 @@ err_t config_check_rig(const struct config *c)
         return err_fail(ERR_ARG, "bracket.mode is auto, which has no use for bracket.middle_us");
     if (c->session_collect == CONFIG_COLLECT_YES && c->rig_role != CONFIG_ALONE)
         return err_fail(ERR_ARG, "session.collect is for one board alone, but rig.role is set");
-    if (c->http_port && !is_loopback(c->http_address) && !c->http_token[0])
+    if (c->http_port && !is_loopback(c->http_address) && !c->http_token[0] &&
+        !c->http_token_file[0])
         return err_fail(ERR_ARG,
                         "http.address %s is open to others: http.token must be set, or the address "
                         "be 127.0.0.1",

@@ -67,7 +67,7 @@ struct config {
     int job_run;
     char control_socket[CONFIG_TEXT];
     int http_port;
-    char http_address[CONFIG_TEXT], http_token[CONFIG_TEXT];
+    char http_address[CONFIG_TEXT], http_token[CONFIG_TEXT], http_token_file[CONFIG_TEXT];
 };
 
 /* Whether captures are collected as places of one scene (firmware/store/places.h). */

@@ -1,146 +1,57 @@
-/* hdrig rig: what a rig of several cameras knows about itself. */
-#include "firmware/base/engine.h"
-#include "firmware/cmd/cmd.h"
-#include "firmware/recon/rigcal.h"
+/* hdrig rig: hands over to its commands. */
+#include "firmware/cmd/cmd_rig.h"
 
-#include "drivers/format/origin.h"
-#include "drivers/format/partial.h"
-
-#include <math.h>
 #include <string.h>
 
-struct request {
-    const char *takes[RIGCAL_TAKES];
-    int n;
-    const char *out;
-    struct config cfg;
+static const struct {
+    const char *name, *help;
+    int (*run)(int argc, char **argv);
+} commands[] = {
+    {"status", "boards of the rig, and what keeps it from a capture", cmd_rig_status},
+    {"capture", "one capture by all boards, and how far apart they began", cmd_rig_status_capture},
+    {"forget", "gives up a capture that waits, or a board that was taken away",
+     cmd_rig_status_forget},
+    {"broker", "makes the broker of a rig on this machine", cmd_rig_setup_broker},
+    {"add", "lets a board into the rig: prints the line that it needs", cmd_rig_setup_add},
+    {"join", "makes this machine a board of the rig, by that line", cmd_rig_setup_join},
+    {"calibrate", "lens and place of every camera, from takes of the rig", cmd_rig_calibrate},
 };
 
-struct state {
-    struct engine engine;
-    struct imageset set[RIGCAL_TAKES];
-    struct prep_source source[RIGCAL_TAKES];
-    struct rigcal_take take[RIGCAL_TAKES];
-    struct rigcal_result result;
-    struct partial partial;
-};
+enum { N_COMMANDS = sizeof commands / sizeof commands[0] };
 
-static err_t list_take(const struct request *rq, int i, struct state *st)
+static void print_help(FILE *f)
 {
-    struct imageset_request set = {.images = rq->takes[i],
-                                   .no_cameras = true,
-                                   .brackets = true,
-                                   .lenses = (enum physcam_rule)rq->cfg.cameras_same};
-    err_t e = cmd_photographs(&set, &st->set[i]);
-    st->source[i] = cmd_source(&st->set[i]);
-    st->take[i] = (struct rigcal_take){rq->takes[i], &st->set[i].capture, &st->source[i]};
-    return e;
+    fputs("usage: hdrig rig COMMAND [options]\n\n", f);
+    for (int i = 0; i < N_COMMANDS; i++)
+        fprintf(f, "  %-13s %s\n", commands[i].name, commands[i].help);
+    fputs("\nhdrig rig COMMAND --help tells the options of a command.\n", f);
 }
 
-/* Worst of the standard errors. */
-static void print_result(const struct request *rq, const struct rigcal_result *r)
+char *cmd_rig_word(int *argc, char ***argv)
 {
-    float turned = 0, shift = 0;
-    int known = 0;
-    for (int i = 0; i < r->rig.n; i++) {
-        const struct rig_view *v = &r->rig.views[i];
-        known += v->has_deviation;
-        turned = fmaxf(turned, v->has_deviation ? v->deviation[0] : 0);
-        shift = fmaxf(shift, v->has_deviation ? v->deviation[1] : 0);
-    }
-    printf("%s: %d cameras from %d take%s, %d points in views fit to %.2f px", rq->out, r->rig.n,
-           rq->n, rq->n == 1 ? "" : "s", r->inliers, (double)r->rms_px);
-    if (known == r->rig.n)
-        printf(", each within %.3f degrees and %.2f %% of its distance to the scene",
-               (double)turned, 100 * (double)shift);
-    puts("");
-    for (int i = 0; i < r->notes->n_found; i++) {
-        const struct job_lens *l = &r->notes->found[i];
-        int n = (int)strlen(l->camera_id); // parts that EXIF lacks leave spaces
-        while (n > 0 && l->camera_id[n - 1] == ' ')
-            n--;
-        printf("%.*s, %d camera%s: %s, focal length %.1f +- %.1f of %d px\n", n, l->camera_id,
-               l->photographs, l->photographs == 1 ? "" : "s", lens_name(l->lens.model), l->lens.fx,
-               l->lens.fx * l->selfcal.deviation[0], l->edge);
-    }
-}
-
-/* A former calibration is replaced in one step. */
-static err_t write_rig(const struct request *rq, const struct state *st)
-{
-    char at[FILE_PATH_CAP];
-    err_t e = partial_path(&st->partial, rq->out, at);
-    if (!e)
-        e = cameras_write(at, &st->result.rig);
-    return e ? e : partial_show(&st->partial, rq->out);
-}
-
-static err_t calibrate_rig(const struct request *rq, struct state *st)
-{
-    struct job_config cfg = cmd_job(&rq->cfg, NULL, false);
-    const struct rigcal_job job = {rq->n, st->take, &cfg};
-    struct job_memory need;
-    err_t e = origin_check_place(rq->out);
-    if (!e)
-        e = partial_open(rq->out, &st->partial);
-    for (int i = 0; i < rq->n && !e; i++)
-        e = list_take(rq, i, st);
-    if (!e)
-        cfg.size = recipe_size(&cfg, &st->set[0].capture);
-    if (!e)
-        e = engine_open(&st->engine, rq->cfg.threads);
-    if (!e)
-        e = rigcal_plan(&job, pool_size(st->engine.pool), &need);
-    if (!e)
-        e = engine_reserve(&st->engine, need.pictures, need.keep, need.tmp,
-                           config_memory_mb(&rq->cfg));
-    if (!e)
-        e = rigcal_run(&st->engine.run, &job, &st->result);
-    progress_end(&st->engine.progress);
-    if (!e)
-        e = write_rig(rq, st);
-    if (!e)
-        print_result(rq, &st->result);
-    return e;
+    static char none[] = "";
+    char **v = *argv;
+    if (*argc < 2 || v[1][0] == '-')
+        return none;
+    char *word = v[1];
+    v[1] = v[0];
+    (*argv)++;
+    (*argc)--;
+    return word;
 }
 
 int cmd_rig_run(int argc, char **argv)
 {
-    static struct state st;
-    static struct request rq;
-    int code, words = 0;
-    const struct cmd_option options[] = {
-        {"out", "FILE", "the calibration, for rig.file and --rig", NULL, &rq.out, NULL},
-        CMD_THREADS,
-        CMD_MEMORY,
-    };
-    const struct cmd_usage usage = {
-        "rig", "calibrate TAKE... --out FILE ",
-        "Lens and place of every camera of a rig that is bolted together, from takes of it: of\n"
-        "anything with texture and depth; several takes of different things give more. The\n"
-        "setting rig.file then names the file.",
-        options, sizeof options / sizeof options[0]};
-    while (words + 1 < argc && argv[words + 1][0] != '-')
-        words++;
-    const char *what = words ? argv[1] : "";
-    for (int i = 2; i <= words && rq.n < RIGCAL_TAKES; i++)
-        rq.takes[rq.n++] = argv[i];
-    argv[words] = argv[0];
-    if (!cmd_parse(&usage, argc - words, argv + words, &rq.cfg, &code))
-        return code;
-    if (strcmp(what, "calibrate") != 0)
-        return cmd_misuse(&usage, "the word calibrate is needed");
-    if (rq.n == 0 || !rq.out)
-        return cmd_misuse(&usage, "takes and --out are needed");
-    if (words - 1 > RIGCAL_TAKES)
-        return cmd_misuse(&usage, "too many takes, at most 64");
-    err_t e = calibrate_rig(&rq, &st);
-    code = st.result.notes ? cmd_finish_job(usage.name, e, st.result.notes, false)
-                           : cmd_finish(usage.name, e);
-    partial_close(&st.partial);
-    rigcal_free(&st.result);
-    for (int i = 0; i < rq.n; i++)
-        imageset_free(&st.set[i]);
-    engine_close(&st.engine);
-    return code;
+    const char *name = argc > 1 ? argv[1] : "";
+    if (strcmp(name, "--help") == 0 || strcmp(name, "-h") == 0) {
+        print_help(stdout);
+        return CMD_OK;
+    }
+    for (int i = 0; i < N_COMMANDS; i++)
+        if (strcmp(commands[i].name, name) == 0)
+            return commands[i].run(argc - 1, argv + 1);
+    if (*name)
+        fprintf(stderr, "hdrig rig: \"%.40s\" is none of its commands\n", name);
+    print_help(stderr);
+    return CMD_USAGE;
 }

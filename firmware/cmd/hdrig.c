@@ -15,7 +15,7 @@ static const struct {
     {"session", "places so far; ends the session, and they become a scene", cmd_session_run},
     {"cancel", "ends what the daemon does", cmd_cancel_run},
     {"calibrate", "what a camera really does, measured and kept", cmd_calibrate_run},
-    {"rig", "lenses and places of a rig's cameras, from takes of it", cmd_rig_run},
+    {"rig", "a rig of several boards; lenses and places of a rig's cameras", cmd_rig_run},
     {"selftest", "whether a camera does what captures need", cmd_selftest_run},
     {"reconstruct", "photographs to an HDR scene", cmd_reconstruct_run},
     {"render", "pictures of a scene from other places", cmd_render_run},

@@ -78,6 +78,22 @@ static err_t check_calibration(const struct config *c)
     return e ? err_fail(e, "rig.file: %s", err_text()) : OK;
 }
 
+/* The daemon alone needs it. */
+static err_t read_token(struct config *c)
+{
+    if (!c->http_port || c->http_token[0] || !c->http_token_file[0])
+        return OK;
+    FILE *f = fopen(c->http_token_file, "re");
+    const bool ok = f && fgets(c->http_token, sizeof c->http_token, f);
+    if (f)
+        fclose(f);
+    c->http_token[strcspn(c->http_token, "\r\n")] = 0;
+    return ok && c->http_token[0]
+               ? OK
+               : err_fail(ERR_IO, "http.token_file: %s cannot be read, or is empty",
+                          c->http_token_file);
+}
+
 static err_t load_settings(int argc, char **argv, struct request *q, struct config *c)
 {
     config_defaults(c);
@@ -88,6 +104,8 @@ static err_t load_settings(int argc, char **argv, struct request *q, struct conf
         e = scan_options(argc, argv, q, c);
     if (!e)
         e = config_check_rig(c);
+    if (!e)
+        e = read_token(c);
     return e ? e : check_calibration(c);
 }
 

@@ -34,6 +34,10 @@ enum { BOARDS_FETCHERS = 4, BOARDS_FDS = 2 + BOARDS_FETCHERS };
 
 struct boards;
 
+/* The name of this board: rig.board, else the host's, in the letters that names have.
+ * err:  ERR_ARG */
+MUST_USE err_t boards_open_name(const struct config *set, char out[TAKE_MEMBER_CAP]);
+
 /* A new random token, MESSAGE_TOKEN_CAP bytes: for each run of the daemon. */
 void boards_open_token(char *out);
 

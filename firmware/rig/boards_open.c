@@ -35,8 +35,8 @@ static bool has_joint(void *ctx, const char *take, const char *member)
     return found;
 }
 
-/* The name of this board: rig.board, else the host's, in the letters that names have. */
-static err_t name_board(const struct config *set, char out[TAKE_MEMBER_CAP])
+
+err_t boards_open_name(const struct config *set, char out[TAKE_MEMBER_CAP])
 {
     char host[TAKE_MEMBER_CAP] = "";
     if (!set->rig_board[0] && gethostname(host, sizeof host - 1) != 0)
@@ -241,7 +241,7 @@ err_t boards_open(const struct boards_config *cfg, struct boards **out)
     snprintf(b->broker, sizeof b->broker, "the broker is not reached yet");
     err_t e = check_settings(cfg);
     if (!e)
-        e = name_board(cfg->set, name);
+        e = boards_open_name(cfg->set, name);
     if (!e) {
         member_init(&b->member, name);
         e = tasks_open("rig-disk", cfg->store, cfg->set->store_path, &b->disk);

@@ -141,6 +141,6 @@ take single 0
 expect 1 'single: 1 cameras, a rig of 2 to 64' rig calibrate "$OUT/single" --out "$OUT/no.json"
 expect 1 'two/images/none: ' rig calibrate "$OUT/two/images/none" --out "$OUT/no.json"
 expect 1 'nowhere' rig calibrate "$OUT/one" --out "$OUT/nowhere/rig.json"
-expect 2 'the word calibrate is needed' rig --out "$OUT/no.json"
+expect 2 'is none of its commands' rig --out "$OUT/no.json"
 expect 2 'takes and --out are needed' rig calibrate --out "$OUT/no.json"
 finish

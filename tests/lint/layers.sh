@@ -33,6 +33,7 @@ BEGIN {
     wrapper["^zip\\.h$"] = "^drivers/format/checkpoint\\.c$"
     wrapper["^microhttpd\\.h$"] = "^firmware/daemon/http\\.c$"
     wrapper["^(mosquitto|mqtt_protocol)\\.h$"] = "^drivers/net/mqtt\\.c$"
+    wrapper["^qrencode\\.h$"] = "^drivers/format/qr\\.c$"
     wrapper["^curl/"] = "^drivers/net/fetch\\.c$"
     wrapper["^systemd/"] = "^firmware/daemon/daemon\\.c$"
     wrapper["^ini\\.h$"] = "^firmware/base/config\\.c$"
