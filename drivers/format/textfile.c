@@ -52,11 +52,13 @@ static err_t set_rights(int fd, const char *path, const struct textfile_rights *
     struct stat old;
     unsigned mode = r->mode;
     bool kept = true;
-    if (r->group) {
+    if (r->keep && stat(path, &old) == 0) {
+        mode = old.st_mode & 0777;
+        kept = fchown(fd, old.st_uid, old.st_gid) == 0;
+    } else if (r->group) {
         const struct group *g = getgrnam(r->group);
         kept = g && fchown(fd, (uid_t)-1, g->gr_gid) == 0;
-    } else if (stat(path, &old) == 0)
-        kept = fchown(fd, old.st_uid, old.st_gid) == 0;
+    }
     if (!kept)
         mode &= ~(unsigned)(S_IRWXG);
     return fchmod(fd, mode) == 0 ? OK : err_fail(ERR_IO, "%s: %s", path, strerror(errno));

@@ -12,7 +12,8 @@
 struct textfile_rights {
     unsigned mode;     // as chmod
     const char *group; // that has the rights of a group; if it does not exist, nobody has those.
-                       // NULL: that of a former file, as its owner
+                       // NULL: the process's
+    bool keep;         // mode, owner and group of a former file instead
 };
 
 /* The text of a file of at most `max` bytes, with a 0 behind it.

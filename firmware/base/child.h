@@ -22,8 +22,8 @@ struct child {
 
 typedef void child_line_fn(void *ctx, const char *line); // not empty, without its end
 
-/* argv[0] is a path, or a name in PATH. Its stderr is read, and its stdout too if `all`; else stdout
- * is discarded.
+/* argv[0] is a path, or a name in PATH. Its stderr is read, and its stdout too if `all`; else
+ * stdout is discarded.
  * own:  child_ended or child_stop.
  * err:  ERR_IO, ERR_NOMEM */
 MUST_USE err_t child_start(struct child *c, char *const argv[], bool all);

@@ -40,12 +40,11 @@ static err_t print_line(const struct joinline *j, bool conductor, bool qr)
     const err_t e = joinline_write(j, line);
     if (e)
         return e;
-    fprintf(stderr,
-            "%s joins by this line, which is a secret: it has its password. On %s:\n"
-            "  sudo hdrig rig join%s\n"
-            "and paste it there; or pipe it: ... | ssh %s sudo hdrig rig join%s\n",
-            j->board, j->board, conductor ? " --conductor" : "", j->board,
-            conductor ? " --conductor" : "");
+    if (isatty(STDOUT_FILENO))
+        fprintf(stderr,
+                "On %s call: sudo hdrig rig join%s\n"
+                "and paste this line, which is a secret, since it has the board's password:\n",
+                j->board, conductor ? " --conductor" : "");
     puts(line);
     fflush(stdout);
     print_code(line, qr);

@@ -26,12 +26,24 @@ static double number_of(const struct cJSON *object, const char *key)
     return json_number(json_member(object, key), &v) ? v : 0;
 }
 
+static const struct cJSON *first_of(const struct cJSON *object, const char *key)
+{
+    const struct cJSON *list = json_member(object, key);
+    return list ? json_first(list) : NULL;
+}
+
+static int count_of(const struct cJSON *object, const char *key)
+{
+    const struct cJSON *list = json_member(object, key);
+    return list ? json_count(list) : 0;
+}
+
 /* ---- status ---- */
 
-static int widest_name(const struct cJSON *members)
+static int widest_name(const struct cJSON *rig)
 {
     int wide = 5;
-    for (const struct cJSON *m = json_first(members); m; m = json_next(m)) {
+    for (const struct cJSON *m = first_of(rig, "members"); m; m = json_next(m)) {
         const int n = (int)strlen(text_of(m, "name"));
         wide = n > wide ? n : wide;
     }
@@ -61,7 +73,7 @@ static void print_take(const struct cJSON *t)
     printf("take %s: %s", *id ? id : "(new)", text_of(t, "phase"));
     if (*reason)
         printf(": %s", reason);
-    for (const struct cJSON *p = json_first(json_member(t, "parts")); p; p = json_next(p)) {
+    for (const struct cJSON *p = first_of(t, "parts"); p; p = json_next(p)) {
         const char *state = text_of(p, "state"), *why = text_of(p, "why");
         if (strcmp(state, "fetched") != 0)
             printf("; %s: %s%s%s", text_of(p, "name"), state, *why ? ", " : "", why);
@@ -71,16 +83,15 @@ static void print_take(const struct cJSON *t)
 
 static void print_rig(const struct cJSON *rig)
 {
-    const struct cJSON *members = json_member(rig, "members");
-    const int wide = widest_name(members);
+    const int wide = widest_name(rig);
     printf("%s, %s of rig %s, %s: %s\n", text_of(rig, "board"), text_of(rig, "role"),
            text_of(rig, "name"), text_of(rig, "state"), text_of(rig, "sentence"));
-    if (json_first(members))
+    if (first_of(rig, "members"))
         printf("%-*s  %7s  %10s  %10s  %5s  %s\n", wide, "board", "cameras", "clock", "free",
                "parts", "state");
-    for (const struct cJSON *m = json_first(members); m; m = json_next(m))
+    for (const struct cJSON *m = first_of(rig, "members"); m; m = json_next(m))
         print_member(m, wide);
-    for (const struct cJSON *t = json_first(json_member(rig, "takes")); t; t = json_next(t))
+    for (const struct cJSON *t = first_of(rig, "takes"); t; t = json_next(t))
         print_take(t);
 }
 
@@ -132,9 +143,9 @@ int cmd_rig_status(int argc, char **argv)
 static void print_joint(const struct cJSON *manifest)
 {
     const struct cJSON *rig = json_member(manifest, "rig");
-    const int boards = json_count(json_member(rig, "members"));
+    const int boards = count_of(rig, "members");
     printf("%d cameras of %d board%s began within %.2f ms of each other\n",
-           json_count(json_member(manifest, "cameras")), boards, boards == 1 ? "" : "s",
+           count_of(manifest, "cameras"), boards, boards == 1 ? "" : "s",
            number_of(manifest, "skew_s") * 1e3);
     const char *reason = text_of(manifest, "reason");
     if (*reason)

@@ -14,6 +14,7 @@
 #include <dirent.h>
 #include <errno.h>
 #include <fcntl.h>
+#include <inttypes.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/file.h>
@@ -24,8 +25,8 @@
 
 enum { YEARS = 20, USERS_MAX = 1 << 18, PEM_MAX = 1 << 14, PASSWORD_BYTES = 16 };
 
-static const struct textfile_rights all = {0644, "mosquitto"}, broker = {0640, "mosquitto"},
-                                    nobody = {0600, NULL};
+static const struct textfile_rights all = {0644, NULL, false}, nobody = {0600, NULL, false},
+                                    broker = {0640, "mosquitto", false};
 
 struct work {
     const char *dir; // of mosquitto
@@ -165,9 +166,13 @@ static err_t sign(const struct work *w, const char *who)
 static err_t make_certificate(const struct work *w, const char *who)
 {
     char line[256];
+    uint32_t number = 0; // tells this authority from others, so that refusals say so
+    if (getrandom(&number, sizeof number, 0) != (ssize_t)sizeof number)
+        return err_fail(ERR_IO, "no random numbers");
     err_t e = openssl(w, "ecparam -name prime256v1 -genkey -noout -out key");
-    snprintf(line, sizeof line, "req -new -config conf -key key -subj \"/CN=hdrig %s\" -out csr",
-             who);
+    snprintf(line, sizeof line,
+             "req -new -config conf -key key -subj \"/CN=hdrig %s %08" PRIx32 "\" -out csr", who,
+             number);
     if (!e)
         e = openssl(w, line);
     return e ? e : sign(w, who);

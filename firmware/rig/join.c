@@ -14,7 +14,9 @@
 
 enum { TOKEN_BYTES = 12, TRY_MS = 8000, KEYS = 10 };
 
-static const struct textfile_rights secret = {0640, "hdrig"}, open_to_all = {0644, NULL};
+static const struct textfile_rights secret = {0640, "hdrig", false},
+                                    open_to_all = {0644, NULL, false},
+                                    settings = {0644, NULL, true};
 
 struct paths {
     char ca[FILE_PATH_CAP], password[FILE_PATH_CAP], token[FILE_PATH_CAP], conf[FILE_PATH_CAP];
@@ -141,7 +143,6 @@ static err_t write_files(const struct join *j, const struct paths *p, struct joi
 
 err_t join_write(const struct join *j, FILE *told, struct join_outcome *out)
 {
-    const struct textfile_rights rights = {0644, NULL};
     struct paths p;
     struct change c;
     char *old = NULL, *text = NULL;
@@ -161,7 +162,7 @@ err_t join_write(const struct join *j, FILE *told, struct join_outcome *out)
     if (!e)
         e = write_files(j, &p, out);
     if (!e && (!old || strcmp(old, text) != 0))
-        e = textfile_write(p.conf, &rights, text);
+        e = textfile_write(p.conf, &settings, text);
     if (!e)
         tell_changes(old ? old : "", &c, told);
     free(old);
