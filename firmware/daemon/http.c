@@ -24,6 +24,7 @@ enum { TIMEOUT_S = 15, BODY_MAX = 512, NAME_MAX_BYTES = 128, DEPTH = 4 };
 EMBED_FILE(http_page_html, "firmware/web/page.html");
 EMBED_FILE(http_page_css, "firmware/web/page.css");
 EMBED_FILE(http_page_js, "firmware/web/page.js");
+EMBED_FILE(http_rig_js, "firmware/web/rig.js");
 
 struct http {
     struct http_config cfg;
@@ -281,6 +282,8 @@ static enum MHD_Result get(const struct http *h, struct MHD_Connection *c, const
         return send_text(c, MHD_HTTP_OK, "text/css", http_page_css, http_page_css_size);
     if (strcmp(url, "/page.js") == 0)
         return send_text(c, MHD_HTTP_OK, "text/javascript", http_page_js, http_page_js_size);
+    if (strcmp(url, "/rig.js") == 0)
+        return send_text(c, MHD_HTTP_OK, "text/javascript", http_rig_js, http_rig_js_size);
     if (strcmp(url, "/status.json") == 0)
         return send_status(h, c);
     if (strncmp(url, "/captures/", 10) == 0)

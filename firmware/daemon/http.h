@@ -1,6 +1,6 @@
 /* http.h - the status page: live state, trigger button, files of captures and scenes, through
  * libmicrohttpd. It runs inside the daemon's loop, without a thread.
- *   GET  /  /page.css  /page.js       the page
+ *   GET  /  /page.{css,js}  /rig.js   the page
  *   GET  /status.json                 output of http_config.status
  *   POST /capture  /cancel            header X-Hdrig: 1, which other sites cannot send
  *   POST /login                       token=...: sets the cookie

@@ -32,13 +32,23 @@ static void read_meter(const struct cJSON *meter, struct summary *s)
         s->dark = fmax(s->dark, v);
 }
 
+/* Files are listed by camera, then exposure. */
 static void read_images(const struct cJSON *files, struct summary *s)
 {
-    static const char folder[] = "images/train_00_";
+    const int middle = s->cameras > 0 ? (s->frames / s->cameras - 1) / 2 : 0;
+    int last = -1;
     for (const struct cJSON *f = json_first(files); f; f = json_next(f)) {
         const char *name = json_string(json_member(f, "name"));
-        if (name && strncmp(name, folder, sizeof folder - 1) == 0 && s->n_images < SUMMARY_IMAGES)
-            copy_text(s->image[s->n_images++], sizeof s->image[0], name + strlen("images/"));
+        int camera, index;
+        if (!name || sscanf(name, "images/train_%3d_%3d.", &camera, &index) != 2)
+            continue;
+        const bool add = s->cameras == 1 || camera != last;
+        if (add && s->n_images == (s->cameras == 1 ? SUMMARY_EXPOSURES : SUMMARY_IMAGES))
+            return;
+        if (add || index <= middle)
+            copy_text(s->image[add ? s->n_images++ : s->n_images - 1], sizeof s->image[0],
+                      name + strlen("images/"));
+        last = camera;
     }
 }
 

@@ -8,7 +8,7 @@
 #include <stdbool.h>
 #include <stdio.h>
 
-enum { SUMMARY_IMAGES = 3 };
+enum { SUMMARY_EXPOSURES = 3, SUMMARY_IMAGES = 64 };
 
 struct summary {
     char id[STORE_ID_CAP];
@@ -19,7 +19,8 @@ struct summary {
     double clipped, dark; // shares, worst camera; -1: not known
     char reason[TAKE_TEXT];
     int n_images;
-    char image[SUMMARY_IMAGES][32]; // pictures of the first camera: names in images/
+    char image[SUMMARY_IMAGES][32]; // names in images/: of one camera up to SUMMARY_EXPOSURES, of
+                                    // more the middle exposure of each
     int64_t report_ns;              // mtime of the report that was read last, and
     int warnings;                   // those in it
 };

@@ -9,6 +9,11 @@ function element(name, text, className) {
   return e;
 }
 
+/* Readers of the screen speak what is set, even to the same. */
+function setText(e, text) {
+  if (e.textContent !== text) e.textContent = text;
+}
+
 function seconds(s) {
   if (s < 1e-3) return (s * 1e6).toPrecision(3) + " us";
   return s < 1 ? (s * 1e3).toPrecision(3) + " ms" : s.toPrecision(3) + " s";
@@ -43,6 +48,21 @@ function cameraCard(c) {
   return card;
 }
 
+/* Of one camera, its exposures; of many, one of each. */
+function pictures(c) {
+  const all = (c.images || []).map((name) => {
+    const img = element("img");
+    img.src = `/captures/${c.id}/images/${name}`;
+    img.alt = name;
+    img.loading = "lazy";
+    return img;
+  });
+  if (all.length <= 3) return all;
+  const sheet = element("details", undefined, "sheet");
+  sheet.append(element("summary", `${all.length} pictures, one of every camera`), ...all);
+  return [sheet];
+}
+
 function captureCard(c) {
   const card = element("div", undefined, c.complete ? "card" : "card aborted");
   card.append(element("h3", c.id));
@@ -72,13 +92,7 @@ function captureCard(c) {
     }
   }
   card.append(links);
-  for (const name of c.images || []) {
-    const img = element("img");
-    img.src = `/captures/${c.id}/images/${name}`;
-    img.alt = name;
-    img.loading = "lazy";
-    card.append(img);
-  }
+  card.append(...pictures(c));
   return card;
 }
 
@@ -87,14 +101,18 @@ function show(s) {
   state.textContent = s.state;
   const kinds = { armed: "armed", lost: "fault" };
   state.className = "state " + (kinds[s.state] || "busy");
-  byId("sentence").textContent = s.sentence;
-  const busy = s.state === "metering" || s.state === "shooting" || s.state === "ready";
-  byId("capture").disabled = s.state !== "armed";
+  setText(byId("sentence"), s.sentence);
+  const rigBusy = s.rig && (s.rig.takes || []).some((t) =>
+    t.phase === "metering" || t.phase === "recording" || t.phase === "shooting");
+  const own = s.state === "metering" || s.state === "shooting" || s.state === "ready";
+  const busy = own || rigBusy;
+  byId("capture").disabled = s.rig ? !s.rig.ready : s.state !== "armed";
+  showRig(s.rig);
   byId("cancel").hidden = !busy && !s.job.running;
   byId("session").hidden = !s.session.collect && !s.session.places;
   byId("places").textContent = s.session.line;
   byId("session-scene").disabled = byId("session-end").disabled = !s.session.places;
-  byId("progress").hidden = !busy;
+  byId("progress").hidden = !own;
   byId("progress").value = s.progress.wanted ? s.progress.kept / s.progress.wanted : 0;
   byId("cameras").replaceChildren(...s.cameras.map(cameraCard));
   const job = s.job;
@@ -104,6 +122,8 @@ function show(s) {
   const key = JSON.stringify(s.captures);
   if (key !== show.key) { // pictures are not loaded again for nothing
     byId("captures").replaceChildren(...s.captures.map(captureCard));
+    const sheet = document.querySelector("#captures .card:first-child .sheet");
+    if (sheet) sheet.open = true; // of the last one
     show.key = key;
   }
   byId("counters").replaceChildren(...Object.entries(s.counters).map(([name, n]) => {

@@ -133,6 +133,8 @@ static void the_page_and_the_state(void **state)
     assert_true(says("<!doctype html>") && says("</html>") && says("default-src 'self'"));
     assert_int_equal(request_exposure("GET", "/page.js", ""), 200);
     assert_true(says("text/javascript") && says("setInterval"));
+    assert_int_equal(request_exposure("GET", "/rig.js", ""), 200);
+    assert_true(says("text/javascript") && says("showRig"));
     assert_int_equal(request_exposure("GET", "/page.css", ""), 200);
     assert_int_equal(request_exposure("GET", "/status.json", ""), 200);
     assert_true(says("{\"state\": \"armed\"}"));
