@@ -35,7 +35,6 @@ static bool has_joint(void *ctx, const char *take, const char *member)
     return found;
 }
 
-
 err_t boards_open_name(const struct config *set, char out[TAKE_MEMBER_CAP])
 {
     char host[TAKE_MEMBER_CAP] = "";
