@@ -65,28 +65,6 @@ static void tell(struct conductor *c, const struct conductor_take *t, err_t err,
         c->last.apart_ns[c->last.n++] = t->last_ns[i] - t->first_ns[i];
 }
 
-static err_t check_all(const struct conductor *c, int64_t now_ns)
-{
-    int n = 0, cameras = 0;
-    for (int i = 0; i < c->n; i++) {
-        const struct conductor_member *m = &c->member[i];
-        if (!conductor_members_belongs(c, m) ||
-            (!m->said.online && !m->listed && c->cfg.set->rig_partial))
-            continue;
-        err_t e = conductor_members_check(c, m, now_ns);
-        if (e && !c->cfg.set->rig_partial)
-            return e;
-        n += !e;
-        cameras += e ? 0 : m->said.cameras;
-    }
-    if (!n)
-        return err_fail(ERR_LOST, "no member of the rig is ready");
-    if (cameras > MESSAGE_MEMBERS)
-        return err_fail(ERR_LIMIT, "the rig has %d cameras, at most %d are possible", cameras,
-                        MESSAGE_MEMBERS);
-    return OK;
-}
-
 err_t conductor_check(const struct conductor *c, int64_t now_ns)
 {
     int used = 0;
@@ -104,7 +82,7 @@ err_t conductor_check(const struct conductor *c, int64_t now_ns)
                         "%d captures wait for members: bring those back, or give captures up "
                         "with hdrig rig forget ID",
                         used);
-    return check_all(c, now_ns);
+    return conductor_members_check_all(c, now_ns);
 }
 
 static struct conductor_take *free_take(struct conductor *c)
@@ -511,9 +489,8 @@ static void on_shot(struct conductor_take *t, int k, const struct message_report
 static void on_report(struct conductor *c, const struct conductor_event *ev)
 {
     const struct message_report *r = ev->report;
-    if (strcmp(r->epoch, c->cfg.epoch) != 0)
-        return;
-    for (int i = 0; i < CONDUCTOR_TAKES; i++) {
+    const bool is_ours = strcmp(r->epoch, c->cfg.epoch) == 0;
+    for (int i = 0; i < CONDUCTOR_TAKES && is_ours; i++) {
         struct conductor_take *t = &c->take[i];
         const int k = message_find(&t->order, ev->name);
         if (t->phase == TAKE_FREE || t->order.serial != r->serial || k < 0)
@@ -596,8 +573,8 @@ static void on_joined(struct conductor *c, const struct conductor_event *ev)
         }
         return;
     }
-    struct message_order safe = t->order;
-    safe.n = 0; // whose parts are in it
+    struct message_order safe = t->order; // for those whose parts are in it
+    safe.n = 0;
     for (int k = 0; k < t->order.n; k++)
         if (t->part[k] == PART_FETCHED)
             memcpy(safe.member[safe.n++], t->order.member[k], TAKE_MEMBER_CAP);

@@ -21,6 +21,9 @@ bool conductor_members_belongs(const struct conductor *c, const struct conductor
 MUST_USE err_t conductor_members_check(const struct conductor *c, const struct conductor_member *m,
                                        int64_t now_ns);
 
+/* Whether all that belong can, or some if `partial`. err: ERR_LOST, ERR_LIMIT (cameras) */
+MUST_USE err_t conductor_members_check_all(const struct conductor *c, int64_t now_ns);
+
 /* ---- conductor_starts.c ---- */
 
 /* Sum of an order's exposures, s. */

@@ -64,3 +64,25 @@ err_t conductor_members_check(const struct conductor *c, const struct conductor_
                         m->name, (double)m->said.within_ns * 1e-6, skew_ms, skew_ms / 2);
     return OK;
 }
+
+err_t conductor_members_check_all(const struct conductor *c, int64_t now_ns)
+{
+    int n = 0, cameras = 0;
+    for (int i = 0; i < c->n; i++) {
+        const struct conductor_member *m = &c->member[i];
+        if (!conductor_members_belongs(c, m) ||
+            (!m->said.online && !m->listed && c->cfg.set->rig_partial))
+            continue;
+        err_t e = conductor_members_check(c, m, now_ns);
+        if (e && !c->cfg.set->rig_partial)
+            return e;
+        n += !e;
+        cameras += e ? 0 : m->said.cameras;
+    }
+    if (!n)
+        return err_fail(ERR_LOST, "no member of the rig is ready");
+    if (cameras > MESSAGE_MEMBERS)
+        return err_fail(ERR_LIMIT, "the rig has %d cameras, at most %d are possible", cameras,
+                        MESSAGE_MEMBERS);
+    return OK;
+}

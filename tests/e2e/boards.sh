@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
-# A rig of three boards and their conductor on one machine: a press, refusals, boards that die before
-# and after they stored their part, a broker that is started again, a conductor that is killed, two
-# conductors, parts that were given up.
+# A rig of three boards and their conductor on one machine: a press, refusals, boards that die
+# before and while they photograph, a broker that is started again, a conductor that is killed, two
+# conductors, settings that cannot be.
 . tests/e2e/common.bash
 . tests/rig/boards.bash
 boards="b0 b1 b2"

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# A rig of three boards from nothing: broker with TLS, lines to join by, a capture of all boards; who
+# A rig of three boards from nothing: broker with TLS, lines to join by, a capture of all; who
 # may say and hear what; lines and files that are wrong; no secret where others could read it.
 . tests/e2e/common.bash
 DAEMON=$(realpath "${HDRIG%/*}")/hdrigd
@@ -36,7 +36,8 @@ says() { # code regex board command...: on stdout or stderr
     shift 2
     on "$@" >"$OUT/stdout.txt" 2>"$ERR"
     got=$?
-    [ $got -eq "$code" ] || fail "rig $*: exit $got, expected $code: $(cat "$OUT/stdout.txt" "$ERR")"
+    [ $got -eq "$code" ] ||
+        fail "rig $*: exit $got, expected $code: $(cat "$OUT/stdout.txt" "$ERR")"
     cat "$OUT/stdout.txt" "$ERR" | grep -Eq -e "$regex" ||
         fail "rig $*: \"$(cat "$OUT/stdout.txt" "$ERR")\" does not match $regex"
 }
@@ -199,7 +200,8 @@ chmod 600 "$OUT/m2/hdrig.conf"
 join m2
 join lead --conductor
 grep -q 'the broker lets it in' "$ERR" || fail "join lead: $(cat "$ERR")"
-grep -q "^rig.broker = mqtts://127.0.0.1:$PORT$" "$OUT/m2/told" || fail "told: $(cat "$OUT/m2/told")"
+grep -q "^rig.broker = mqtts://127.0.0.1:$PORT$" "$OUT/m2/told" ||
+    fail "told: $(cat "$OUT/m2/told")"
 [ "$(grep -c '^rig.broker' "$OUT/m2/hdrig.conf")" = 1 ] || fail "a setting twice"
 mode "$OUT/m2/hdrig.conf" 600
 mode "$OUT/lead/hdrig.conf" 644
@@ -260,7 +262,8 @@ done
 wait $listener
 grep -q forged "$OUT/heard.txt" && fail "forged: $(cat "$OUT/heard.txt")"
 for filter in hdrig/1/rig/member/m2 'hdrig/1/rig/report/#' '$SYS/broker/version'; do
-    client m1 hear "$filter" >"$OUT/heard.txt" 2>/dev/null && fail "m1 hears $(cat "$OUT/heard.txt")"
+    client m1 hear "$filter" >"$OUT/heard.txt" 2>/dev/null &&
+        fail "m1 hears $(cat "$OUT/heard.txt")"
 done
 
 # wrong password, wrong authority, no TLS

@@ -1,16 +1,16 @@
 #!/usr/bin/env bash
-# check.sh - a rig of MEMBERS boards as processes with simulated cameras, each in a network namespace
-# and with a monotonic clock of its own, a real broker, links as LINK says (netem), for TAKES presses
-# without and as many with faults: boards, conductor and broker killed, links cut, a disk full. It
-# prints how long presses took, how far apart exposures began, whether the reported times are the
-# true ones, and what the faults did; then transfer over a link of RATE.
+# check.sh - a rig of MEMBERS boards as processes with simulated cameras, each in a network
+# namespace and with a monotonic clock of its own, a real broker, links as LINK and RATE say, for
+# TAKES presses without and as many with faults: boards, conductor and broker killed, links cut, a
+# disk full. It prints how long presses took, how far apart exposures began, whether the reported
+# times are the true ones, how fast parts came, and what the faults did.
 # Run by make check-rig, from the root with HDRIG, BIN and OUT.
 . tests/e2e/common.bash
 MEMBERS=${MEMBERS:-16} TAKES=${TAKES:-25}
 LINK=${LINK:-delay 0.3ms 0.1ms loss 0.05%}
 SPACES=yes
 ip netns add hdrig-check 2>/dev/null && ip netns del hdrig-check || SPACES=
-[ -n "$SPACES" ] || echo "not checked: no network namespaces may be made here, all boards share one"
+[ -n "$SPACES" ] || echo "not checked: no network namespaces may be made here, boards share one"
 . tests/rig/boards.bash
 LOG=$OUT/presses.txt
 boards=$(seq -s ' ' 0 $((MEMBERS - 1)) | sed 's/^/b/; s/ / b/g')
@@ -51,7 +51,11 @@ settle() { # until no part is held and no take waits
 # that of its board's monotonic clock, less the offset that the clock was given.
 wrong_times() { # manifest
     awk -v offsets="$(cat "$OUT/offsets.txt" | tr '\n' ' ')" '
-        BEGIN { count = 0; n = split(offsets, o, " "); for (i = 1; i <= n; i += 2) shift[o[i]] = o[i + 1] }
+        BEGIN {
+            n = split(offsets, o, " ")
+            for (i = 1; i <= n; i += 2) shift[o[i]] = o[i + 1]
+            count = 0
+        }
         /^ *{"camera": / {
             match($0, /"camera": [0-9]+/); camera = substr($0, RSTART + 10, RLENGTH - 10)
             match($0, /"common_ns": "[0-9]+/); common = substr($0, RSTART + 14, RLENGTH - 14)
@@ -107,6 +111,7 @@ if [ -n "$SPACES" ]; then
         END { printf "takes whose times contradict the true ones: %d (%d frames)\n", wrong, n
               exit wrong > 0 }' || fail "reported times are not the true ones"
 fi
+grep 'MB from' "$OUT/hub/log.txt" | awk '{ print $(NF - 1) }' | spread "seconds to fetch a part"
 grep -h 'VmHWM\|VmRSS' "/proc/${pid[hub]}/status" | awk '{ v[NR] = $2 / 1000 }
     END { printf "memory of the conductor: %.1f MB, at most %.1f MB\n", v[2], v[1] }'
 before=$(ls "/proc/${pid[hub]}/fd" | wc -l)
@@ -160,11 +165,12 @@ for take in $(seq "$TAKES"); do
     wait_ready 60 || fail "after take $take the rig is not ready: $(sentence)"
 done
 settle
-echo "$((TAKES)) presses with faults: $kills boards killed, $cuts links cut, $brokers brokers and $leaders" \
-    "conductors killed, $full disks full; $(tail -n "$TAKES" "$LOG" | grep -c "$OUT/hub/store") told" \
-    "of a joint take, $(tail -n "$TAKES" "$LOG" | grep -vc "$OUT/hub/store") of a reason"
-tail -n "$TAKES" "$LOG" | grep -v "$OUT/hub/store" | cut -d' ' -f3- | sed 's/b[0-9]*/bN/g; s/[0-9.]* s/N s/' |
-    sort | uniq -c | sort -rn | head -n 12
+tail -n "$TAKES" "$LOG" >"$OUT/faults.txt"
+echo "$((TAKES)) presses with faults: $kills boards killed, $cuts links cut, $brokers brokers and" \
+    "$leaders conductors killed, $full disks full; $(grep -c "$OUT/hub/store" "$OUT/faults.txt")" \
+    "told of a joint take, $(grep -vc "$OUT/hub/store" "$OUT/faults.txt") of a reason"
+grep -v "$OUT/hub/store" "$OUT/faults.txt" | cut -d' ' -f3- | sed 's/\bb[0-9][0-9]*/bN/g' |
+    sed 's/[0-9.]* \(m*s\)/N \1/' | sort | uniq -c | sort -rn | head -n 12
 n=0
 for m in $(joints); do
     check_joint "$m" "$boards" 200
