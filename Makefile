@@ -93,10 +93,11 @@ FUZZ := $(wildcard tests/fuzz/fuzz_*.c)
 LINUX := $(filter-out tests/linux/uvc.c,$(wildcard tests/linux/*.c))
 
 # Threads are tested with TSan: *_tsan_test and these.
-TSAN_TESTS := pool prep response seed appearance shared_attention consensus depth gausshead \
+TSAN_TESTS := tasks pool prep response seed appearance shared_attention consensus depth gausshead \
 	modelfile sample camera_libcamera writer mqtt
 # What others reach: files, devices, connections. `make check` sanitizes these alone.
-EDGE_TESTS := $(filter $(patsubst %,tests/unit/%/%,drivers firmware/store firmware/daemon),$(TESTS))
+EDGE_TESTS := $(filter $(patsubst %,tests/unit/%/%,drivers firmware/store firmware/daemon \
+	firmware/rig),$(TESTS))
 # Core alone is tested on emulated Arm: what needs neither files nor minutes.
 ARM_TESTS := $(addprefix unit/core/,base/arena base/bytes base/cpu base/err base/gaussians \
 	base/half base/pool base/sha256 net/appearance net/shared_attention net/depth net/gausshead \
