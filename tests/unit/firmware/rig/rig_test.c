@@ -43,6 +43,106 @@ static void finish(struct world *w)
         assert_false(w->disk[i].pending);
 }
 
+/* ---- the rules of a member, one by one ---- */
+
+static struct member lone;
+
+static bool acts(enum member_action_kind kind)
+{
+    struct member_action a;
+    bool found = false;
+    while (member_action(&lone, &a))
+        found = found || a.kind == kind;
+    return found;
+}
+
+static void lone_starts(void)
+{
+    const struct message_conductor c = {
+        .online = true, .epoch = "a1", .board = "b", .version = "1"};
+    member_init(&lone, "left");
+    member_event(&lone, &(struct member_event){.kind = MEMBER_UP});
+    member_event(&lone, &(struct member_event){.kind = MEMBER_CONDUCTOR, .conductor = &c});
+    assert_true(acts(MEMBER_ANNOUNCE));
+}
+
+static struct message_order lone_order(int64_t serial)
+{
+    struct message_order o = {.kind = MESSAGE_SHOOT,
+                              .epoch = "a1",
+                              .serial = serial,
+                              .take = "0123abcd-000001",
+                              .n = 1,
+                              .start_ns = 5 * SECOND,
+                              .n_times = 1,
+                              .time_s = {0.01}};
+    strcpy(o.member[0], "left");
+    return o;
+}
+
+static void hear(const struct message_order *o, bool known, int64_t common_ns)
+{
+    member_event(&lone, &(struct member_event){.kind = MEMBER_ORDER,
+                                               .order = o,
+                                               .common_known = known,
+                                               .common_ns = common_ns});
+}
+
+static void test_orders_that_are_not_followed(void **state)
+{
+    struct message_order o = lone_order(1);
+    (void)state;
+    lone_starts();
+    strcpy(o.epoch, "a2"); // of a conductor that does not lead
+    hear(&o, true, 0);
+    assert_false(acts(MEMBER_SHOOT));
+    o = lone_order(1);
+    strcpy(o.member[0], "right");
+    hear(&o, true, 0);
+    assert_false(acts(MEMBER_SHOOT));
+    o = lone_order(1);
+    hear(&o, false, 0);
+    assert_true(acts(MEMBER_REPORT));
+    assert_non_null(strstr(lone.report.reason, "common clock is not known"));
+    o = lone_order(2);
+    hear(&o, true, 8 * SECOND);
+    assert_false(acts(MEMBER_SHOOT));
+    assert_non_null(strstr(lone.report.reason, "came 3.0 s after"));
+}
+
+static void test_orders_that_come_again(void **state)
+{
+    struct message_order o = lone_order(3), next = lone_order(4);
+    struct message_report stored = {.part = "00000001-000001"};
+    struct message_hold hold = {.take = "0123abcd-000001", .part = "00000001-000001"};
+    (void)state;
+    lone_starts();
+    hear(&o, true, 0);
+    assert_true(acts(MEMBER_SHOOT));
+    hear(&o, true, 0);
+    assert_false(acts(MEMBER_SHOOT));
+    strcpy(next.take, "0123abcd-000002");
+    hear(&next, true, 0);
+    assert_false(acts(MEMBER_SHOOT));
+    assert_non_null(strstr(lone.report.reason, "another order"));
+    member_event(&lone, &(struct member_event){.kind = MEMBER_STORED, .report = &stored});
+    assert_true(acts(MEMBER_REPORT));
+    assert_int_equal(lone.report.serial, 3);
+    hear(&o, true, 0); // its report is said again
+    assert_true(acts(MEMBER_REPORT));
+    hear(&(struct message_order){.kind = MESSAGE_RELEASE}, true, 0);
+    assert_false(acts(MEMBER_RELEASE));
+
+    lone_starts(); // after a restart serials are forgotten, and parts are on the disk
+    member_event(&lone, &(struct member_event){.kind = MEMBER_HOLDS, .hold = &hold, .n_holds = 1});
+    hear(&o, true, 0);
+    assert_false(acts(MEMBER_SHOOT));
+    assert_int_equal(lone.report.kind, MESSAGE_STORED);
+    assert_string_equal(lone.report.part, hold.part);
+}
+
+/* ---- rigs ---- */
+
 static void test_press_becomes_a_take(void **state)
 {
     (void)state;
@@ -298,6 +398,8 @@ static void test_faults(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_orders_that_are_not_followed),
+        cmocka_unit_test(test_orders_that_come_again),
         cmocka_unit_test(test_press_becomes_a_take),
         cmocka_unit_test(test_presses_that_are_refused),
         cmocka_unit_test(test_member_dies_while_it_shoots),
