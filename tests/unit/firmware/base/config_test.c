@@ -38,6 +38,7 @@ static void shipped_file_equals_the_table(void **state)
     memset(&c, 0x55, sizeof c);
     memset(c.camera, 0, sizeof c.camera); // the file has only the first of these
     memset(c.trigger, 0, sizeof c.trigger);
+    memset(c.rig_member, 0, sizeof c.rig_member);
     assert_int_equal(config_read(&c, "board/common/defaults.conf"), OK);
     assert_memory_equal(&c, &want, sizeof c);
 }
