@@ -1,6 +1,6 @@
 /* publish HOST PORT CA USER PASSWORD-FILE ACTION TOPIC [TEXT]: a client of a broker with TLS.
  *   say   publish TEXT, not retained, and end
- *   hear  print the first message under the filter TOPIC within 2 s; exit code 1 if there is none
+ *   hear  print the messages under the filter TOPIC for 2 s; exit code 1 if there is none
  * Exit code 2: the broker does not let it in; its sentence is on stderr. */
 #include "drivers/device/clocks.h"
 #include "drivers/net/mqtt.h"
@@ -32,16 +32,16 @@ static int hear(struct mqtt *m)
 {
     const int64_t end = clocks_now() + HEAR_NS;
     struct mqtt_event ev;
+    int heard = 0;
     fputs("listens\n", stderr);
     while (wait_event(m, end, &ev)) {
-        const bool some = ev.kind == MQTT_MESSAGE;
-        if (some)
+        if (ev.kind == MQTT_MESSAGE) {
             printf("%s %s\n", ev.topic, ev.payload);
+            heard++;
+        }
         mqtt_event_free(&ev);
-        if (some)
-            return 0;
     }
-    return 1;
+    return heard ? 0 : 1;
 }
 
 static int act(struct mqtt *m, int argc, char **argv)
