@@ -220,7 +220,9 @@ printf 'rig.member.%d = %s\n' 1 lead 2 m1 3 m2 >>"$OUT/lead/hdrig.conf"
 start lead
 start m2
 for _ in $(seq 100); do
-    on lead status 2>/dev/null | grep -q '^m2 .* ready' && break
+    on lead status >"$OUT/stdout.txt" 2>/dev/null
+    grep -q '^lead, .*, leads: .*m1' "$OUT/stdout.txt" && grep -q '^m2 .* ready' "$OUT/stdout.txt" &&
+        break
     sleep 0.1
 done
 says 3 '^lead, conductor of rig rig, leads: .*m1' lead status
