@@ -3,6 +3,7 @@
 #include <errno.h>
 #include <fcntl.h>
 #include <grp.h>
+#include <pwd.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/stat.h>
@@ -57,7 +58,8 @@ static err_t set_rights(int fd, const char *path, const struct textfile_rights *
         kept = fchown(fd, old.st_uid, old.st_gid) == 0;
     } else if (r->group) {
         const struct group *g = getgrnam(r->group);
-        kept = g && fchown(fd, (uid_t)-1, g->gr_gid) == 0;
+        const struct passwd *u = r->owner ? getpwnam(r->owner) : NULL;
+        kept = g && fchown(fd, u ? u->pw_uid : (uid_t)-1, g->gr_gid) == 0;
     }
     if (!kept)
         mode &= ~(unsigned)(S_IRWXG);

@@ -11,6 +11,7 @@
 
 struct textfile_rights {
     unsigned mode;     // as chmod
+    const char *owner; // where there is such a user and group; NULL: the process's
     const char *group; // that has the rights of a group; if it does not exist, nobody has those.
                        // NULL: the process's
     bool keep;         // mode, owner and group of a former file instead

@@ -25,8 +25,10 @@
 
 enum { YEARS = 20, USERS_MAX = 1 << 18, PEM_MAX = 1 << 14, PASSWORD_BYTES = 16 };
 
-static const struct textfile_rights all = {0644, NULL, false}, nobody = {0600, NULL, false},
-                                    broker = {0640, "mosquitto", false};
+/* Later versions of mosquitto want to own what they read. */
+static const struct textfile_rights all = {0644, NULL, NULL, false},
+                                    nobody = {0600, NULL, NULL, false},
+                                    broker = {0640, "mosquitto", "mosquitto", false};
 
 struct work {
     const char *dir; // of mosquitto

@@ -14,9 +14,9 @@
 
 enum { TOKEN_BYTES = 12, TRY_MS = 8000, KEYS = 10 };
 
-static const struct textfile_rights secret = {0640, "hdrig", false},
-                                    open_to_all = {0644, NULL, false},
-                                    settings = {0644, NULL, true};
+static const struct textfile_rights secret = {0640, NULL, "hdrig", false},
+                                    open_to_all = {0644, NULL, NULL, false},
+                                    settings = {0644, NULL, NULL, true};
 
 struct paths {
     char ca[FILE_PATH_CAP], password[FILE_PATH_CAP], token[FILE_PATH_CAP], conf[FILE_PATH_CAP];

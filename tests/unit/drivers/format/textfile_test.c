@@ -11,7 +11,7 @@
 
 #include <cmocka.h>
 
-static const struct textfile_rights secret = {0640, "no-such-group", false};
+static const struct textfile_rights secret = {0640, NULL, "no-such-group", false};
 
 static unsigned mode_of(const char *name)
 {
@@ -41,7 +41,8 @@ static int entries(void)
 static void rights_are_exact(void **state)
 {
     (void)state;
-    const struct textfile_rights open_to_all = {0644, NULL, false}, kept = {0644, NULL, true};
+    const struct textfile_rights open_to_all = {0644, NULL, NULL, false},
+                                 kept = {0644, NULL, NULL, true};
     umask(0);
     assert_int_equal(textfile_write(tmpdir_path("a"), &secret, "one\n"), OK);
     assert_int_equal(mode_of("a"), 0600); // the group does not exist
