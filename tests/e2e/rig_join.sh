@@ -221,8 +221,8 @@ start lead
 start m2
 for _ in $(seq 100); do
     on lead status >"$OUT/stdout.txt" 2>/dev/null
-    grep -q '^lead, .*, leads: .*m1' "$OUT/stdout.txt" && grep -q '^m2 .* ready' "$OUT/stdout.txt" &&
-        break
+    grep -q '^lead, .*, leads: .*m1' "$OUT/stdout.txt" &&
+        grep -q '^m2 .* ready' "$OUT/stdout.txt" && break
     sleep 0.1
 done
 says 3 '^lead, conductor of rig rig, leads: .*m1' lead status
