@@ -410,6 +410,8 @@ static void take_outcome(struct boards *b, const struct task *k)
     else if (k->kind == TASK_FETCH)
         log_info("rig: %s: %.3g MB from %s in %.3g s", k->take, (double)k->bytes * 1e-6, k->member,
                  k->took_s);
+    else if (k->kind == TASK_JOIN)
+        log_info("rig: %s: joined in %.3g s", k->take, k->took_s);
     if (k->kind == TASK_RELEASE || k->kind == TASK_HOLDS) {
         member_holds(b, k);
     } else if (k->kind != TASK_CLEAR) {

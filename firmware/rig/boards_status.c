@@ -74,15 +74,45 @@ static void put_takes(const struct conductor *c, FILE *f)
     fputs("]", f);
 }
 
-static void put_last(const struct conductor_last *l, FILE *f)
+/* Starts of each exposure, ms from their mean. */
+static void put_starts(const struct conductor_starts *l, int exposures, FILE *f)
 {
+    fputs(", \"starts\": [", f);
+    for (int x = 0; x < exposures; x++) {
+        int64_t base = 0;
+        double mean = 0;
+        int n = 0;
+        for (int i = 0; i < l->n; i++)
+            if (l->v[i].index == x) {
+                base = n ? base : l->v[i].common_ns;
+                mean += (double)(l->v[i].common_ns - base);
+                n++;
+            }
+        mean /= n > 0 ? n : 1;
+        fputs(x ? ", [" : "[", f);
+        for (int i = 0, k = 0; i < l->n; i++)
+            if (l->v[i].index == x)
+                fprintf(f, "%s{\"name\": \"%s\", \"camera\": %d, \"ms\": %.3f}", k++ ? ", " : "",
+                        l->v[i].member, l->v[i].camera,
+                        ((double)(l->v[i].common_ns - base) - mean) * 1e-6);
+        fputs("]", f);
+    }
+    fputs("]", f);
+}
+
+static void put_last(const struct conductor *c, FILE *f)
+{
+    const struct conductor_last *l = &c->last;
     fprintf(f, ", \"last\": {\"id\": \"%s\", \"ok\": %s, \"sentence\": ", l->take,
             l->err ? "false" : "true");
     json_put_string(f, l->text);
     fputs(", \"skew_ms\": [", f);
     for (int i = 0; i < l->n; i++)
         fprintf(f, "%s%.3f", i ? ", " : "", (double)l->apart_ns[i] * 1e-6);
-    fprintf(f, "], \"within_ms\": %.3f}", (double)l->within_ns * 1e-6);
+    fprintf(f, "], \"within_ms\": %.3f", (double)l->within_ns * 1e-6);
+    if (c->starts.serial == l->serial)
+        put_starts(&c->starts, l->n, f);
+    fputs("}", f);
 }
 
 /* Cameras of a joint take are those of its boards in their order. */
@@ -121,7 +151,7 @@ void boards_status_write(const struct boards *b, FILE *f)
         put_members(&b->conductor, f);
         put_takes(&b->conductor, f);
         if (b->conductor.last.take[0] || b->conductor.last.err)
-            put_last(&b->conductor.last, f);
+            put_last(&b->conductor, f);
         put_views(b, f);
     }
     fputs("}", f);

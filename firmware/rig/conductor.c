@@ -58,7 +58,8 @@ static void tell(struct conductor *c, const struct conductor_take *t, err_t err,
     a->err = err;
     memcpy(a->take, t->order.take, sizeof a->take);
     set_text(a->text, sizeof a->text, "%s", text);
-    c->last = (struct conductor_last){.err = err, .within_ns = t->within_ns};
+    c->last =
+        (struct conductor_last){.serial = t->order.serial, .err = err, .within_ns = t->within_ns};
     memcpy(c->last.take, a->take, sizeof c->last.take);
     memcpy(c->last.text, a->text, sizeof c->last.text);
     for (int i = 0; i < BRACKET_EXPOSURES_MAX && t->has_start[i]; i++)
@@ -132,6 +133,7 @@ static void record_take(struct conductor *c, struct conductor_take *t, int64_t n
     t->order.kind = MESSAGE_SHOOT;
     t->order.take[0] = 0;
     t->order.serial = ++c->serial;
+    c->starts = (struct conductor_starts){.serial = c->serial};
     memcpy(t->order.epoch, c->cfg.epoch, sizeof t->order.epoch);
     t->order.red = c->red;
     t->order.blue = c->blue;
@@ -472,7 +474,8 @@ static void on_metered(struct conductor *c, struct conductor_take *t, int k,
         c->meter[c->n_meters++] = r->meter[i];
 }
 
-static void on_shot(struct conductor_take *t, int k, const struct message_report *r)
+static void on_shot(struct conductor *c, struct conductor_take *t, int k,
+                    const struct message_report *r)
 {
     if (t->part[k] != PART_WAITS || strcmp(r->take, t->order.take) != 0)
         return;
@@ -481,6 +484,7 @@ static void on_shot(struct conductor_take *t, int k, const struct message_report
     } else if (r->kind == MESSAGE_STORED && !conductor_starts_add(t, k, r)) {
         fail_part(t, k, "its frames are of another time");
     } else if (r->kind == MESSAGE_STORED) {
+        conductor_starts_list(c, t, k, r);
         t->part[k] = PART_STORED;
         t->retry_ns[k] = 0;
     }
@@ -498,7 +502,7 @@ static void on_report(struct conductor *c, const struct conductor_event *ev)
         if (t->phase == TAKE_METERING && r->kind != MESSAGE_STORED)
             on_metered(c, t, k, r);
         else if (t->phase == TAKE_SHOOTING || t->phase == TAKE_GATHERING)
-            on_shot(t, k, r);
+            on_shot(c, t, k, r);
     }
 }
 

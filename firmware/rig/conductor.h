@@ -165,8 +165,20 @@ struct conductor_config {
     void *ctx;
 };
 
+/* Starts of the frames of the order with that serial, as they are told. */
+struct conductor_starts {
+    int64_t serial;
+    int n;
+    struct conductor_start {
+        char member[TAKE_MEMBER_CAP];
+        int camera, index;
+        int64_t common_ns;
+    } v[MESSAGE_MEMBERS * BRACKET_EXPOSURES_MAX];
+};
+
 /* How the last press ended. */
 struct conductor_last {
+    int64_t serial;
     char take[TAKE_ID_CAP]; // "": none was, or it ended before it had an id
     err_t err;
     char text[TAKE_TEXT];
@@ -185,7 +197,8 @@ struct conductor {
     int current;  // take that is pressed, in METERING to SHOOTING; -1: none
     int n_meters; // what the cameras of the current take want
     struct message_meter meter[MESSAGE_MEMBERS * BRACKET_CAMERAS_MAX];
-    float red, blue; // balance of the last take; 0: none
+    float red, blue;                // balance of the last take; 0: none
+    struct conductor_starts starts; // of the newest order
     struct conductor_last last;
     int n_actions;
     struct conductor_action action[CONDUCTOR_ACTIONS];

@@ -32,6 +32,10 @@ double conductor_starts_s(const struct message_order *o);
 /* Enter the starts of part k. false: they are not of this take. */
 bool conductor_starts_add(struct conductor_take *t, int k, const struct message_report *r);
 
+/* List the starts of part k as well, for the status. */
+void conductor_starts_list(struct conductor *c, const struct conductor_take *t, int k,
+                           const struct message_report *r);
+
 /* Largest difference between starts of one index so far, ns. */
 int64_t conductor_starts_skew(const struct conductor_take *t);
 

@@ -2,6 +2,7 @@
 #include "firmware/rig/conductor_inner.h"
 
 #include <stdio.h>
+#include <string.h>
 
 double conductor_starts_s(const struct message_order *o)
 {
@@ -54,6 +55,20 @@ bool conductor_starts_add(struct conductor_take *t, int k, const struct message_
         t->within_ns = s->within_ns > t->within_ns ? s->within_ns : t->within_ns;
     }
     return true;
+}
+
+void conductor_starts_list(struct conductor *c, const struct conductor_take *t, int k,
+                           const struct message_report *r)
+{
+    struct conductor_starts *l = &c->starts;
+    const int most = (int)(sizeof l->v / sizeof l->v[0]);
+    for (int i = 0; i < r->n_starts && l->n < most && l->serial == t->order.serial; i++) {
+        struct conductor_start *s = &l->v[l->n++];
+        memcpy(s->member, t->order.member[k], sizeof s->member);
+        s->camera = r->start[i].camera;
+        s->index = r->start[i].index;
+        s->common_ns = r->start[i].common_ns;
+    }
 }
 
 bool conductor_starts_apart(const struct conductor *c, const struct conductor_take *t,

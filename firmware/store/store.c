@@ -211,7 +211,7 @@ static bool find_part(const struct store *s, const char *rig_take, struct store_
 
 err_t store_release(struct store *s, const char *rig_take)
 {
-    struct store_entry x;
+    struct store_entry x = {0};
     err_t e = OK;
     pthread_mutex_lock(&s->lock);
     while (!e && find_part(s, rig_take, &x))

@@ -112,6 +112,7 @@ if [ -n "$SPACES" ]; then
               exit wrong > 0 }' || fail "reported times are not the true ones"
 fi
 grep 'MB from' "$OUT/hub/log.txt" | awk '{ print $(NF - 1) }' | spread "seconds to fetch a part"
+grep -h ': joined in' "$OUT/hub/log.txt" | awk '{ print $(NF - 1) }' | spread "seconds to join"
 grep -h 'VmHWM\|VmRSS' "/proc/${pid[hub]}/status" | awk '{ v[NR] = $2 / 1000 }
     END { printf "memory of the conductor: %.1f MB, at most %.1f MB\n", v[2], v[1] }'
 before=$(ls "/proc/${pid[hub]}/fd" | wc -l)

@@ -186,7 +186,7 @@ static void two_boards(void **state)
     free(raw);
     expect_ok(summary_read(folder, id, &sum));
     assert_true(sum.complete && sum.cameras == 3 && sum.frames == 9 && sum.n_images == 3);
-    assert_string_equal(sum.image[0], "train_00_00.png");
+    assert_string_equal(sum.image[0], "train_00_01.png"); // the middle exposure of each camera
     expect_ok(exposures_read(in("", id, "exposure.json"), &x));
     assert_int_equal(x.n, 9);
     exposures_free(&x);
