@@ -1,12 +1,12 @@
 #!/usr/bin/env bash
 # check.sh - a rig of MEMBERS boards as processes with simulated cameras, each in a network
 # namespace and with a monotonic clock of its own, a real broker, links as LINK and RATE say, for
-# TAKES presses without and as many with faults: boards, conductor and broker killed, links cut, a
+# TAKES presses without and FAULTS with faults: boards, conductor and broker killed, links cut, a
 # disk full. It prints how long presses took, how far apart exposures began, whether the reported
 # times are the true ones, how fast parts came, and what the faults did.
 # Run by make check-rig, from the root with HDRIG, BIN and OUT.
 . tests/e2e/common.bash
-MEMBERS=${MEMBERS:-16} TAKES=${TAKES:-25}
+MEMBERS=${MEMBERS:-16} TAKES=${TAKES:-25} FAULTS=${FAULTS:-$TAKES} SKEW=${SKEW:-200}
 LINK=${LINK:-delay 0.3ms 0.1ms loss 0.05%}
 SPACES=yes
 ip netns add hdrig-check 2>/dev/null && ip netns del hdrig-check || SPACES=
@@ -83,6 +83,11 @@ spread() { # title, numbers on stdin: least, median, most
         END { printf "%-44s %8.3g %8.3g %8.3g  (%d)\n", t, v[1], v[int((NR + 1) / 2)], v[NR], NR }'
 }
 
+sizes() { # board: memory and descriptors
+    echo "$(awk '/VmRSS/ { printf "%.1f MB", $2 / 1000 }' "/proc/${pid[$1]}/status")," \
+        "$(ls "/proc/${pid[$1]}/fd" | wc -l) descriptors"
+}
+
 # ---- a rig at rest ----
 
 : >"$LOG"
@@ -92,11 +97,12 @@ broker
 for i in $(seq 0 $((MEMBERS - 1))); do make_space b$i $((i + 1)) || fail "no namespace"; done
 [ -z "$SPACES" ] || echo "links: $link"
 start_rig "bracket.mode = list" "bracket.ev = -2 0 2" "bracket.middle_us = 2000" \
-    "bracket.skew_ms = 200"
+    "bracket.skew_ms = $SKEW"
 printf '%-44s %8s %8s %8s\n' "$MEMBERS boards" least median most
-for _ in $(seq "$TAKES"); do
+for take in $(seq "$TAKES"); do
     press
     wait_ready 20 || fail "not ready again: $(sentence)"
+    [ "$take" != 5 ] || early=$(sizes hub)/$(sizes b0)
 done
 settle
 grep -c "$OUT/hub/store" "$LOG" | grep -qx "$TAKES" ||
@@ -112,9 +118,12 @@ if [ -n "$SPACES" ]; then
               exit wrong > 0 }' || fail "reported times are not the true ones"
 fi
 grep 'MB from' "$OUT/hub/log.txt" | awk '{ print $(NF - 1) }' | spread "seconds to fetch a part"
+grep 'MB from' "$OUT/hub/log.txt" | awk '{ print 8 * $(NF - 6) / $(NF - 1) }' |
+    spread "Mbit/s of a fetch, with its proof"
 grep -h ': joined in' "$OUT/hub/log.txt" | awk '{ print $(NF - 1) }' | spread "seconds to join"
-grep -h 'VmHWM\|VmRSS' "/proc/${pid[hub]}/status" | awk '{ v[NR] = $2 / 1000 }
-    END { printf "memory of the conductor: %.1f MB, at most %.1f MB\n", v[2], v[1] }'
+early=${early:-$(sizes hub)/$(sizes b0)}
+echo "conductor after 5 takes: ${early%/*}; after $TAKES: $(sizes hub)"
+echo "a member after 5 takes: ${early#*/}; after $TAKES: $(sizes b0)"
 before=$(ls "/proc/${pid[hub]}/fd" | wc -l)
 
 # ---- faults ----
@@ -127,7 +136,7 @@ revive() { # board after a while
 }
 
 kills=0 cuts=0 brokers=0 leaders=0 full=0
-for take in $(seq "$TAKES"); do
+for take in $(seq "$FAULTS"); do
     board=b$((RANDOM % MEMBERS))
     link=$tag$((${board#b} + 1))
     press &
@@ -166,15 +175,15 @@ for take in $(seq "$TAKES"); do
     wait_ready 60 || fail "after take $take the rig is not ready: $(sentence)"
 done
 settle
-tail -n "$TAKES" "$LOG" >"$OUT/faults.txt"
-echo "$((TAKES)) presses with faults: $kills boards killed, $cuts links cut, $brokers brokers and" \
+tail -n "$FAULTS" "$LOG" >"$OUT/faults.txt"
+echo "$FAULTS presses with faults: $kills boards killed, $cuts links cut, $brokers brokers and" \
     "$leaders conductors killed, $full disks full; $(grep -c "$OUT/hub/store" "$OUT/faults.txt")" \
     "told of a joint take, $(grep -vc "$OUT/hub/store" "$OUT/faults.txt") of a reason"
 grep -v "$OUT/hub/store" "$OUT/faults.txt" | cut -d' ' -f3- | sed 's/\bb[0-9][0-9]*/bN/g' |
     sed 's/[0-9.]* \(m*s\)/N \1/' | sort | uniq -c | sort -rn | head -n 12
 n=0
 for m in $(joints); do
-    check_joint "$m" "$boards" 200
+    check_joint "$m" "$boards" "$SKEW"
     n=$((n + 1))
 done
 echo "$n joint takes: each whole, of its boards in their order, of one moment"
