@@ -31,7 +31,9 @@ settings hub conductor 0 "rig.member.1 = b0" "rig.member.2 = b1" "rig.member.3 =
 board hub
 for i in 0 1 2; do
     make_space b$i $((i + 1))
-    settings b$i member $((i + 1)) "camera.1 = $(camera $i 4)"
+    kind= # one board has another kind of camera
+    [ $i != 2 ] || kind=,format=rggb
+    settings b$i member $((i + 1)) "camera.1 = $(camera $i 4)$kind"
     board b$i
 done
 wait_ready 30 || fail "the rig is not ready: $(sentence)"

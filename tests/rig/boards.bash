@@ -135,7 +135,7 @@ held() {
 }
 
 waiting() {
-    find "$OUT/hub/store" -maxdepth 1 -name '.rig-*' | wc -l
+    find "$OUT/hub/store" -maxdepth 1 -name '.rig-*' 2>/dev/null | wc -l
 }
 
 joints() {
