@@ -26,7 +26,7 @@ static void describe_skew(const struct conductor_take *t, char *out, size_t cap)
 {
     for (int i = 0; i < BRACKET_EXPOSURES_MAX; i++)
         if (t->has_start[i] && t->last_ns[i] - t->first_ns[i] == conductor_starts_skew(t)) {
-            snprintf(out, cap, "%s began exposure %d %.3g ms after %s", //
+            snprintf(out, cap, "%s began exposure %d %.3g ms after %s",
                      t->order.member[t->last_of[i]], i + 1, (double)conductor_starts_skew(t) * 1e-6,
                      t->order.member[t->first_of[i]]);
             return;
