@@ -18,7 +18,7 @@
 DEPS := gcc g++ libc6-dev make pkg-config libspng-dev libturbojpeg0-dev libexif-dev \
 	libtiff-dev libheif-dev libopenexr-dev libcjson-dev libinih-dev libzip-dev libraw-dev \
 	libgpiod-dev libcamera-dev libmicrohttpd-dev libmosquitto-dev libcurl4-openssl-dev \
-	libqrencode-dev libsystemd-dev zlib1g-dev libzstd-dev dpkg-dev
+	libqrencode-dev libsystemd-dev zlib1g-dev libzstd-dev libapriltag-dev dpkg-dev
 DEPS_CHECK := $(DEPS) libcmocka-dev mosquitto openssl iproute2 clang libclang-rt-dev lld cppcheck \
 	chromium systemd lintian ffmpeg gcc-aarch64-linux-gnu libc6-dev-arm64-cross qemu-user
 DEPS_CROSS := $(DEPS) gcc-aarch64-linux-gnu g++-aarch64-linux-gnu
@@ -65,7 +65,7 @@ FLAGS = -std=c11 -D_GNU_SOURCE -I. -g -pthread $(if $(PIC),-fPIC) -MMD -MP $(OPT
 CXXFLAGS_MODULE = -std=c++20 -I. -g -O2 -fPIC -shared -fvisibility=hidden -Wall -Wextra \
 	-Wshadow -Wundef $(if $(WERROR),-Werror) $(ROOTED) $(SANFLAGS)
 LDLIBS = -lspng -lturbojpeg -lexif -lraw_r -ltiff -lheif -lcjson -linih -lzip -lz -lzstd \
-	-lmicrohttpd -lmosquitto -lcurl -lqrencode -lsystemd -lgpiod -lm \
+	-lapriltag -lmicrohttpd -lmosquitto -lcurl -lqrencode -lsystemd -lgpiod -lm \
 	$(filter -lOpenEXRCore%,$(shell $(PKG_CONFIG) --libs OpenEXR))
 
 # A file named op_ISA.c is compiled for that instruction set, and no other file is.

@@ -217,6 +217,8 @@ static err_t get_rig(const char *what, const struct cJSON *doc, void *rig)
 {
     struct rig *out = rig;
     const struct cJSON *array = json_member(doc, "cameras");
+    const char *unit = json_string(json_member(doc, "unit"));
+    out->metres = unit && strcmp(unit, "m") == 0;
     if (!json_is_array(array))
         return err_fail(ERR_FORMAT, "%s: no array \"cameras\"", what);
     int n = json_count(array);
@@ -317,11 +319,11 @@ err_t cameras_write(const char *path, const struct rig *rig)
     err_t e = file_create(path, &f);
     if (e)
         return e;
-    fputs(
-        "{\n  \"generator\": \"" ORIGIN_GENERATOR "\",\n"
-        "  \"convention\": \"x right, y down, z forward; X_cam = R(q) X_world + t, q = w,x,y,z; "
-        "u = fx x/z + cx in px, pixel centres at .5\",\n  \"cameras\": [\n",
-        f);
+    fputs("{\n  \"generator\": \"" ORIGIN_GENERATOR "\",\n"
+          "  \"convention\": \"x right, y down, z forward; X_cam = R(q) X_world + t, q = w,x,y,z; "
+          "u = fx x/z + cx in px, pixel centres at .5\",\n",
+          f);
+    fputs(rig->metres ? "  \"unit\": \"m\",\n  \"cameras\": [\n" : "  \"cameras\": [\n", f);
     for (int i = 0; i < rig->n; i++) {
         cameras_put(f, &rig->views[i]);
         fputs(i + 1 < rig->n ? ",\n" : "\n", f);

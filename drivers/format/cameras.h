@@ -1,16 +1,16 @@
 /* cameras.h - known cameras by image name, and their file cameras.json:
- *   {"generator": "hdrig", "convention": "...",
+ *   {"generator": "hdrig", "convention": "...", "unit": "m",
  *    "cameras": [{"name": "a.png", "w": 448, "h": 448, "fx": ..., "fy": ..., "cx": ..., "cy": ...,
  *                 "q": [w,x,y,z], "t": [x,y,z], "exposure_log2": ...,
  *                 "model": "OPENCV", "params": [...]}, ...]}
- * Units and axes are those of struct camera. "model" and "params" (COLMAP's, core/base/lens.h) are
- * there if the photographs are distorted, and then say what fx, fy, cx, cy are. The views of a
- * result are undistorted: there "photograph": {"w": ..., "h": ..., "model": ..., "params": [...]}
- * tells how the photograph of this view was taken. "camera" names the physical camera, and "light":
- * {"vignetting_stops": [v2, v4, v6], "gain_stops": [r, g, b]} is what it does to light
- * (core/photo/shade.h), if that is known. "deviation": [degrees, share] has
- * the standard errors of a calibrated pose. Numbers have nine digits, params seventeen:
- * written and read back they are the same.
+ * Units and axes are those of struct camera; "unit" is there if lengths are metres. "model" and
+ * "params" (COLMAP's, core/base/lens.h) are there if the photographs are distorted, and then say
+ * what fx, fy, cx, cy are. The views of a result are undistorted: there "photograph": {"w": ...,
+ * "h": ..., "model": ..., "params": [...]} tells how the photograph of this view was taken.
+ * "camera" names the physical camera, and "light": {"vignetting_stops": [v2, v4, v6], "gain_stops":
+ * [r, g, b]} is what it does to light (core/photo/shade.h), if that is known. "deviation":
+ * [degrees, share] has the standard errors of a calibrated pose. Numbers have nine digits, params
+ * seventeen: written and read back they are the same.
  * thread: any. */
 #ifndef FORMAT_CAMERAS_H
 #define FORMAT_CAMERAS_H
@@ -46,6 +46,7 @@ struct rig_view {
 struct rig {
     int n;
     struct rig_view *views; // (n), malloc'd
+    bool metres;            // lengths are metres; else the unit is any
     bool stored;            // they are those of the pictures as stored, not turned upright by EXIF
 };
 

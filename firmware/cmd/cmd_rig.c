@@ -14,6 +14,7 @@ static const struct {
     {"broker", "makes the broker of a rig on this machine", cmd_rig_setup_broker},
     {"add", "lets a board into the rig: prints the line that it needs", cmd_rig_setup_add},
     {"join", "makes this machine a board of the rig, by that line", cmd_rig_setup_join},
+    {"board", "a board of tags to print, for calibrate", cmd_rig_board},
     {"calibrate", "lens and place of every camera, from takes of the rig", cmd_rig_calibrate},
 };
 

@@ -4,6 +4,7 @@
 
 #include "firmware/cmd/cmd.h"
 
+int cmd_rig_board(int argc, char **argv);
 int cmd_rig_calibrate(int argc, char **argv);
 int cmd_rig_status(int argc, char **argv);
 int cmd_rig_status_capture(int argc, char **argv);

@@ -13,7 +13,9 @@
 struct request {
     const char *takes[RIGCAL_TAKES];
     int n;
-    const char *out;
+    const char *out, *tag;
+    double tag_mm;
+    bool no_board;
     struct config cfg;
 };
 
@@ -49,12 +51,17 @@ static void print_result(const struct request *rq, const struct rigcal_result *r
         turned = fmaxf(turned, v->has_deviation ? v->deviation[0] : 0);
         shift = fmaxf(shift, v->has_deviation ? v->deviation[1] : 0);
     }
-    printf("%s: %d cameras from %d take%s, %d points in views fit to %.2f px", rq->out, r->rig.n,
-           rq->n, rq->n == 1 ? "" : "s", r->inliers, (double)r->rms_px);
+    printf("%s: %d cameras from %d take%s, %d %s fit to %.2f px", rq->out, r->rig.n, rq->n,
+           rq->n == 1 ? "" : "s", r->inliers, r->board ? "corners of tags" : "points in views",
+           (double)r->rms_px);
+    if (r->points > 0)
+        printf(", %d points beside them", r->points);
     if (known == r->rig.n)
         printf(", each within %.3f degrees and %.2f %% of its distance to the scene",
                (double)turned, 100 * (double)shift);
-    puts("");
+    puts(r->rig.metres ? ", in metres"
+         : r->board    ? ", the scale is free: --tag MM gives the printed size of a tag"
+                       : "");
     for (int i = 0; i < r->notes->n_found; i++) {
         const struct job_lens *l = &r->notes->found[i];
         int n = (int)strlen(l->camera_id); // parts that EXIF lacks leave spaces
@@ -79,7 +86,7 @@ static err_t write_rig(const struct request *rq, const struct state *st)
 static err_t calibrate_rig(const struct request *rq, struct state *st)
 {
     struct job_config cfg = cmd_job(&rq->cfg, NULL, false);
-    const struct rigcal_job job = {rq->n, st->take, &cfg};
+    const struct rigcal_job job = {rq->n, st->take, &cfg, rq->tag_mm, rq->no_board};
     struct job_memory need;
     err_t e = origin_check_place(rq->out);
     if (!e)
@@ -112,14 +119,18 @@ int cmd_rig_calibrate(int argc, char **argv)
     int code, words = 0;
     const struct cmd_option options[] = {
         {"out", "FILE", "the calibration, for rig.file and --rig", NULL, &rq.out, NULL},
+        {"tag", "MM", "edge of a tag as printed, of the board in the takes: gives metres", NULL,
+         &rq.tag, NULL},
+        {"no-board", NULL, "do not look for a board", NULL, NULL, &rq.no_board},
         CMD_THREADS,
         CMD_MEMORY,
     };
     const struct cmd_usage usage = {
         "rig calibrate", "TAKE... --out FILE ",
         "Lens and place of every camera of a rig that is bolted together, from takes of it: of\n"
-        "anything with texture and depth; several takes of different things give more. The\n"
-        "setting rig.file then names the file.",
+        "anything with texture and depth; several takes of different things give more. With the\n"
+        "board of hdrig rig board in them, moved from take to take, also cameras that see nothing\n"
+        "in common are tied. The setting rig.file then names the file.",
         options, sizeof options / sizeof options[0]};
     while (words + 1 < argc && argv[words + 1][0] != '-')
         words++;
@@ -132,6 +143,11 @@ int cmd_rig_calibrate(int argc, char **argv)
         return cmd_misuse(&usage, "takes and --out are needed");
     if (words > RIGCAL_TAKES)
         return cmd_misuse(&usage, "too many takes, at most 64");
+    if (rq.tag && cmd_number("--tag", rq.tag, 1, 1000, &rq.tag_mm) != OK)
+        return cmd_misuse(&usage, err_text());
+    if (rq.tag && rq.no_board)
+        return cmd_misuse(&usage,
+                          "--tag is the size of the board that --no-board does not look for");
     err_t e = calibrate_rig(&rq, &st);
     code = st.result.notes ? cmd_finish_job(usage.name, e, st.result.notes, false)
                            : cmd_finish(usage.name, e);

@@ -4,6 +4,8 @@
 #include "firmware/result/outdir.h"
 
 #include "core/base/num.h"
+#include "drivers/format/apriltags.h"
+#include "drivers/format/boardpdf.h"
 #include "drivers/format/rigfile.h"
 #include "sim/train/dataset.h"
 
@@ -11,11 +13,17 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { INPUTS_MAX = (SAMPLE_VIEWS + 1) / 2 };
+enum {
+    INPUTS_MAX = (SAMPLE_VIEWS + 1) / 2,
+    BOARD_SIDE = BOARD_STRIDE * BOARD_PITCH_CELLS + BOARD_GAP_CELLS
+};
 
 struct request {
     const char *out, *views, *kind, *spread, *orbit, *fov, *exposures, *curve, *samples;
     const char *rig_path;
+    const char *board, *tag, *distance, *before;
+    struct target target;
+    unsigned char black[BOARD_SIDE * BOARD_SIDE]; // cells of the board
     const char *lens[CMD_TEXTS_MAX];
     struct optics optics[CMD_TEXTS_MAX]; // of `lens`, or of the rig
     struct camera rig[INPUTS_MAX];
@@ -127,6 +135,57 @@ static err_t read_rig(struct request *rq, struct sample_scene *a)
     return e;
 }
 
+/* The printed board with a white border as wide as a gap. */
+static err_t draw_board(const struct boardpdf *b, struct request *rq)
+{
+    const int cols = BOARD_PITCH_CELLS * b->board.cols + BOARD_GAP_CELLS,
+              rows = BOARD_PITCH_CELLS * b->board.rows + BOARD_GAP_CELLS;
+    err_t e = OK;
+    rq->target.cells =
+        (struct texture_cells){cols, rows, rq->black, (float)(b->tag / 1000 / BOARD_CELLS)};
+    for (int i = 0; i < b->board.cols * b->board.rows && !e; i++) {
+        const int col = i % b->board.cols, row = i / b->board.cols;
+        uint8_t cells[APRILTAGS_EDGE][APRILTAGS_EDGE];
+        e = apriltags_cells(board_id(col, row), cells);
+        for (int k = 0; k < APRILTAGS_EDGE * APRILTAGS_EDGE && !e; k++) {
+            const int x = BOARD_PITCH_CELLS * col + BOARD_GAP_CELLS + k % APRILTAGS_EDGE,
+                      y = BOARD_PITCH_CELLS * row + BOARD_GAP_CELLS + k / APRILTAGS_EDGE;
+            rq->black[y * cols + x] = !cells[k / APRILTAGS_EDGE][k % APRILTAGS_EDGE];
+        }
+    }
+    return e;
+}
+
+/* A board, and where it stands. */
+static err_t read_board(struct request *rq, struct sample_scene *a)
+{
+    double tag = 0, distance = 1;
+    int first = 1, last = (a->n_views + 1) / 2, end = 0;
+    struct boardpdf b;
+    if (!rq->board && (rq->tag || rq->distance || rq->before))
+        return err_fail(ERR_ARG, "--tag, --distance and --before need --board");
+    if (!rq->board)
+        return OK;
+    err_t e = read_number("--tag", rq->tag, 1, 1000, &tag);
+    if (!e)
+        e = read_number("--distance", rq->distance, 0.05, 100, &distance);
+    if (!e && rq->before &&
+        (sscanf(rq->before, "%3d-%3d%n", &first, &last, &end) != 2 || rq->before[end] ||
+         first < 1 || last < first || last > (a->n_views + 1) / 2))
+        e = err_fail(ERR_ARG, "--before: \"%.32s\" is not like 1-2, of %d cameras", rq->before,
+                     (a->n_views + 1) / 2);
+    if (!e)
+        e = boardpdf_choose(rq->board, tag, &b);
+    if (!e)
+        e = draw_board(&b, rq);
+    rq->target.seed = a->seed;
+    rq->target.first = first - 1;
+    rq->target.last = last - 1;
+    rq->target.distance = (float)distance;
+    a->target = &rq->target;
+    return e;
+}
+
 static err_t read_scene(struct request *rq, struct dataset_request *a)
 {
     double spread = 0.3, orbit = 0, fov = 60;
@@ -156,6 +215,8 @@ static err_t read_scene(struct request *rq, struct dataset_request *a)
         e = rq->rig_path ? read_rig(rq, &a->sample) : read_optics(rq, fov, &a->sample);
     if (!e && rq->kind)
         e = parse_choice("--kind", rq->kind, WORLD_WORDS, &a->sample.kind);
+    if (!e)
+        e = read_board(rq, &a->sample);
     if (!e && orbit > 0 && a->sample.kind != WORLD_PARK)
         e = err_fail(ERR_ARG, "--orbit: only --kind park has room all around");
     return e;
@@ -216,6 +277,10 @@ static err_t write_report(const struct request *rq, const struct dataset_request
         report_number(&rep, "orbit_deg", 2 * (double)a->sample.orbit_deg);
     report_number(&rep, "fov_deg", (double)a->sample.fov_deg);
     report_optics(rq, &rep);
+    if (rq->board) {
+        report_text(&rep, "board", rq->board);
+        report_number(&rep, "cell_m", (double)rq->target.cells.size);
+    }
     report_bool(&rep, "free_hand", a->sample.jitter != 0);
     report_int(&rep, "samples", a->sample.quality.samples);
     report_bool(&rep, "noise", a->noise);
@@ -255,7 +320,7 @@ int cmd_simulate_run(int argc, char **argv)
 {
     static struct state st;
     static struct dataset_request request;
-    struct request rq = {0};
+    static struct request rq;
     const struct cmd_option options[] = {
         {"out", "DIR", "folder of the data set; a former one is replaced", NULL, &rq.out, NULL},
         CMD_FORCE(rq.rules),
@@ -275,10 +340,15 @@ int cmd_simulate_run(int argc, char **argv)
          "a camera: k1=-0.25,k2=0.05 (k1 k2 p1 p2) or fisheye,k1=.. (k1..k4), fov=70 size=800x600 "
          "v2=-0.3 v4=0.05 cos4 gain=1.1 wb=1.05/1/0.97; several take turns",
          NULL, rq.lens, NULL},
-        {"rig", "PATH",
-         "the cameras of a rig: rig.json, cameras.json, COLMAP; brought to where the views would "
-         "be",
+        {"rig", "PATH", "the cameras of a rig: rig.json, cameras.json, COLMAP; brought into place",
          NULL, &rq.rig_path, NULL},
+        {"board", "P",
+         "a board of tags before the cameras, as hdrig rig board prints it on " BOARDPDF_PAPERS
+         "; lengths of --rig are metres then",
+         NULL, &rq.board, NULL},
+        {"tag", "MM", "edge of a tag of the board", NULL, &rq.tag, NULL},
+        {"distance", "M", "of the board from the cameras (1)", NULL, &rq.distance, NULL},
+        {"before", "A-B", "cameras that the board stands before (all)", NULL, &rq.before, NULL},
         {"free-hand", NULL, "vary height, target and roll of the cameras", NULL, NULL,
          &rq.free_hand},
         {"exposures", "LIST",

@@ -6,6 +6,8 @@
 #include "firmware/recon/job.h"
 #include "firmware/recon/lenses.h"
 #include "firmware/recon/locate.h"
+#include "firmware/recon/rigboard.h"
+#include "firmware/recon/rigsight.h"
 
 #include "core/base/num.h"
 #include "core/photo/exposure_stack.h"
@@ -298,33 +300,141 @@ static err_t write_result(struct rigcal *c)
     return e;
 }
 
-err_t rigcal_run(const struct run *r, const struct rigcal_job *job, struct rigcal_result *out)
+/* ---- with a board ---- */
+
+/* Lengths of the rig in metres. */
+static void scale_rig(const struct rigcal *c, const struct rigboard *b)
 {
-    struct rigcal *c = calloc(1, sizeof *c);
-    const size_t keep = arena_mark(r->keep);
-    memset(out, 0, sizeof *out);
-    out->notes = calloc(1, sizeof *out->notes);
-    err_t e = c && out->notes ? OK : err_fail(ERR_NOMEM, "no memory to calibrate a rig");
-    if (!e) {
-        *c = (struct rigcal){.r = r, .job = job, .out = out, .seen = calloc(1, sizeof *c->seen)};
-        e = c->seen ? OK : err_fail(ERR_NOMEM, "no memory to calibrate a rig");
+    struct rig *rig = &c->out->rig;
+    const double metres = rigboard_metres(c->job, b, rig);
+    if (!(metres > 0)) {
+        job_result_warn(c->out->notes, "no two cameras see the board at the same press, so that it "
+                                       "says nothing about the scale, which stays free");
+        return;
     }
+    for (int i = 0; i < rig->n; i++)
+        for (int k = 0; k < 3; k++)
+            rig->views[i].cam.t[k] = (float)((double)rig->views[i].cam.t[k] * metres);
+    rig->metres = true;
+}
+
+/* Lenses of the board as those of views: from the middle, px of the views. False where a photograph
+ * is turned against its sensor. */
+static bool use_lenses(struct rigcal *c, const struct rigboard *b)
+{
+    struct lenses *l = &c->lenses;
+    const struct capture *first = c->job->take[0].capture;
+    lenses_group(l, first, &c->seen->views, c->job->cfg);
+    c->found = (struct bundle_result){.n_lenses = l->n,
+                                      .lenses = c->lens,
+                                      .selfcal = c->selfcal,
+                                      .cams = c->cams,
+                                      .placed = c->placed};
+    for (int i = c->shape.n - 1; i >= 0; i--) {
+        const struct shot *s = lenses_shot(first, name_of(c, i));
+        const double scale = (double)num_max(c->shape.extent[i].w, c->shape.extent[i].h) /
+                             num_max(s->taken_w, s->taken_h);
+        struct lens lens = b->found.lens[b->lens_of[i]];
+        lens.cx -= 0.5 * s->taken_w;
+        lens.cy -= 0.5 * s->taken_h;
+        lens_scale(&lens, scale, scale);
+        c->lens[l->of[i]] = lens;
+        if (s->turned != 0)
+            return false;
+    }
+    return true;
+}
+
+/* What the takes show besides the board, adjusted together with it. */
+static err_t add_points(struct rigcal *c, struct rigboard *b)
+{
+    struct rigsight_view view[BUNDLE_VIEWS_MAX];
+    struct boardcal in = rigboard_problem(c->job, b);
+    struct rigsight s = {0};
+    const size_t keep = arena_mark(c->r->keep), tmp = arena_mark(c->r->tmp);
+    err_t e = lenses_layout(&c->lenses, c->r->keep, in.n_cameras);
+    const size_t lenses = arena_mark(c->r->keep);
     if (!e)
-        e = lenses_layout(&c->lenses, r->keep, prep_places(job->take[0].capture));
+        e = see_take(c, 0, false);
+    const bool straight = !e && use_lenses(c, b);
+    arena_reset(c->r->keep, lenses);
+    arena_reset(c->r->tmp, tmp);
+    if (straight)
+        e = match_takes(c, true);
+    for (int i = 0; i < c->shape.n && straight; i++)
+        view[i] =
+            (struct rigsight_view){c->extent[i].w, c->extent[i].h, (double)c->lenses.pinhole[i]};
+    if (!e && straight)
+        e = rigsight_make(&in, &b->found, view, &c->all, &s);
+    if (!e && s.points.n > 0)
+        e = boardcal_refine(c->r, &in, &s.points, &b->found);
+    c->out->points = s.points.n;
+    rigsight_free(&s);
+    arena_reset(c->r->keep, keep);
+    return e;
+}
+
+static err_t calibrate_points(struct rigcal *c)
+{
+    err_t e = lenses_layout(&c->lenses, c->r->keep, prep_places(c->job->take[0].capture));
     if (!e)
         e = find_start(c);
     if (!e)
         e = solve_all(c);
     if (!e)
         e = check_found(c);
+    return e ? e : write_result(c);
+}
+
+static err_t calibrate(struct rigcal *c, struct rigboard *b)
+{
+    const struct rigcal_job *job = c->job;
+    bool tied = false;
+    err_t e = job->no_board ? OK : rigboard_find(c->r, job, c->out->notes, b);
+    if (e)
+        return e;
+    if (!rigboard_seen(b) && job->tag_mm > 0)
+        return err_fail(ERR_ARG,
+                        "no camera sees %d tags of a board in these takes: take it nearer, "
+                        "flat, sharp and lit, or leave out --tag",
+                        RIGBOARD_LEAST);
+    if (rigboard_seen(b))
+        e = rigboard_solve(c->r, job, b, &tied);
+    if (!e && tied)
+        e = add_points(c, b);
+    if (e || tied)
+        return e ? e : rigboard_write(job, b, c->out);
+    e = calibrate_points(c);
+    if (e == ERR_ARG && rigboard_seen(b))
+        return rigboard_untied(job, b);
+    if (!e && rigboard_seen(b) && job->tag_mm > 0)
+        scale_rig(c, b);
+    return e;
+}
+
+err_t rigcal_run(const struct run *r, const struct rigcal_job *job, struct rigcal_result *out)
+{
+    struct rigcal *c = calloc(1, sizeof *c);
+    struct rigboard *board = calloc(1, sizeof *board);
+    const size_t keep = arena_mark(r->keep);
+    memset(out, 0, sizeof *out);
+    out->notes = calloc(1, sizeof *out->notes);
+    err_t e = c && board && out->notes ? OK : err_fail(ERR_NOMEM, "no memory to calibrate a rig");
+    if (!e) {
+        *c = (struct rigcal){.r = r, .job = job, .out = out, .seen = calloc(1, sizeof *c->seen)};
+        e = c->seen ? OK : err_fail(ERR_NOMEM, "no memory to calibrate a rig");
+    }
     if (!e)
-        e = write_result(c);
+        e = calibrate(c, board);
     arena_reset(r->keep, keep);
     if (c) {
         free(c->seen);
         free(c->all.obs);
     }
     free(c);
+    if (board)
+        rigboard_free(board);
+    free(board);
     return e;
 }
 
@@ -419,6 +529,8 @@ err_t rigcal_plan(const struct rigcal_job *job, int threads, struct job_memory *
     free(extent);
     bundle_plan(&p, places, lenses_count(job->take[0].capture), &all);
     rigcheck_plan(&p, places, &all);
+    if (!job->no_board)
+        rigboard_plan(&p, job, &all);
     *out = (struct job_memory){.pictures = pictures, .keep = p.keep.peak, .tmp = p.tmp.peak};
     return OK;
 }

@@ -3,6 +3,7 @@
  * every view and the middle one of these. */
 #include "sim/train/sample.h"
 
+#include "core/base/lin.h"
 #include "core/base/num.h"
 #include "core/base/rotation.h"
 #include "core/sfm/similarity.h"
@@ -297,6 +298,27 @@ static void set_pose(const struct camera *from, struct camera *to)
     memcpy(to->t, from->t, sizeof to->t);
 }
 
+/* The similarity without its scale: the middle of the rig stays where it was. */
+static void keep_metres(struct similarity *w, const struct camera *from, const struct camera *to,
+                        int n)
+{
+    double r[9], at[3] = {0}, mean[3] = {0}, turned[3];
+    rotation_from_quat(w->q, r);
+    for (int i = 0; i < n; i++) {
+        double a[3], b[3];
+        rotation_centre(&from[i], a);
+        rotation_centre(&to[i], b);
+        for (int k = 0; k < 3; k++) {
+            at[k] += a[k] / n;
+            mean[k] += b[k] / n;
+        }
+    }
+    lin_apply(r, at, turned);
+    w->scale = 1;
+    for (int k = 0; k < 3; k++)
+        w->t[k] = mean[k] - turned[k];
+}
+
 /* The rig in the place of the views of even number. */
 static err_t place_rig(const struct run *r, const struct sample_scene *a, struct camera *cams)
 {
@@ -306,6 +328,8 @@ static err_t place_rig(const struct run *r, const struct sample_scene *a, struct
     for (int i = 0; i < n; i++)
         even[i] = cams[2 * i];
     err_t e = similarity_fit(r, a->rig, even, n, &w);
+    if (!e && a->target)
+        keep_metres(&w, a->rig, even, n);
     for (int i = 0; i < n && !e; i++) {
         const struct camera c = similarity_apply(&w, &a->rig[i]);
         set_pose(&c, &cams[2 * i]);
@@ -313,6 +337,15 @@ static err_t place_rig(const struct run *r, const struct sample_scene *a, struct
     for (int i = 0; i + 1 < n && !e; i++)
         set_between(&cams[2 * i], &cams[2 * i + 2], &cams[2 * i + 1]);
     return e;
+}
+
+static err_t add_target(const struct sample_scene *a, const struct camera *cams, struct world *w)
+{
+    struct camera even[(SAMPLE_VIEWS + 1) / 2];
+    const int n = (a->n_views + 1) / 2;
+    for (int i = 0; i < n; i++)
+        even[i] = cams[2 * i];
+    return target_add(w, a->target, even, n);
 }
 
 err_t sample_make(const struct run *r, const struct sample_scene *a, float *radiance, float *depth,
@@ -333,15 +366,17 @@ err_t sample_make(const struct run *r, const struct sample_scene *a, float *radi
     if (!e)
         e = world_make(&room, a->seed, (enum world_kind)a->kind, &w);
     prepare.keep = &room;
-    if (!e)
-        e = render_open(&prepare, &w, &world);
     if (!e) {
         world_cameras(&w, &path, a->seed, a->size, cams);
         set_optics(a, cams);
-        s.world = world;
         if (a->rig)
             e = place_rig(r, a, cams);
     }
+    if (!e && a->target)
+        e = add_target(a, cams, &w);
+    if (!e)
+        e = render_open(&prepare, &w, &world);
+    s.world = world;
     if (!e)
         e = draw_all(&s);
     if (!e)

@@ -7,6 +7,7 @@
 #include "sim/sensor/optics.h"
 #include "sim/sensor/sensor.h"
 #include "sim/world/render.h"
+#include "sim/world/target.h"
 
 enum { SAMPLE_VIEWS = 64, SAMPLE_SIZE = 2048, SAMPLE_PX = 1 << 27, SAMPLE_SHOTS = 64 };
 
@@ -26,6 +27,8 @@ struct sample_scene {
     const struct camera *rig; // ((n_views + 1) / 2) poses of a rig, brought to where the views of
                               // even number would be; those of odd number stand between two of
                               // them; NULL: none
+    const struct target *target; // in the world, before views of even number; then lengths of the
+                                 // rig are m, else it is scaled to the place; NULL: none
 };
 
 /* The number of the camera that takes a view, and what stands before its sensor; 0 and NULL without

@@ -548,6 +548,28 @@ static void project_point(struct point *s, const float p[3], const float n[3])
     s->face = s->seed + (uint32_t)axis * 0x27d4eb2fu + (n[axis] < 0.0f ? 0x165667b1u : 0u);
 }
 
+/* Overlap of from..to with the cell i, in cells. */
+static float cell_overlap(int i, float from, float to)
+{
+    const float lo = from > (float)i ? from : (float)i, hi = to < (float)i + 1 ? to : (float)i + 1;
+    return hi > lo ? hi - lo : 0.0f;
+}
+
+/* Black share of the footprint, a square. */
+static float black_share(const struct texture_cells *c, const float p[3], float footprint)
+{
+    const float half = 0.5f * clamp(footprint / c->size, 1e-3f, 16.0f);
+    const float w = (float)c->cols, h = (float)c->rows,
+                x = clamp(p[0] / c->size + 0.5f * w, -100.0f, w + 100.0f),
+                y = clamp(p[1] / c->size + 0.5f * h, -100.0f, h + 100.0f);
+    float sum = 0.0f;
+    for (int j = floor_int(y - half); (float)j < y + half; j++)
+        for (int i = floor_int(x - half); (float)i < x + half; i++)
+            if (i >= 0 && i < c->cols && j >= 0 && j < c->rows && c->black[j * c->cols + i])
+                sum += cell_overlap(i, x - half, x + half) * cell_overlap(j, y - half, y + half);
+    return sum / (4.0f * half * half);
+}
+
 void texture_eval(const struct texture *t, const float p[3], const float n[3], float footprint,
                   float out[3])
 {
@@ -555,6 +577,10 @@ void texture_eval(const struct texture *t, const float p[3], const float n[3], f
         flat_texture, clouds_texture, checker_texture, brick_texture, tiles_texture,
         wood_texture, fabric_texture, print_texture,   spots_texture};
     struct point s = {.t = t};
+    if (t->cells) {
+        mix3(t->colour[0], t->colour[1], black_share(t->cells, p, footprint), out);
+        return;
+    }
     s.seed = mix_bits(t->seed + 0x9e3779b9u);
     s.width = clamp(footprint, WIDTH_MIN, WIDTH_MAX);
     s.scale = clamp(t->scale, SCALE_MIN, FAR);

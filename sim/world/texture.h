@@ -20,12 +20,21 @@ enum texture_kind {
     TEXTURE_KINDS
 };
 
+/* A picture of black and white cells instead: x right, y down in the frame of the solid, its middle
+ * at 0; white beyond. */
+struct texture_cells {
+    int cols, rows;
+    const unsigned char *black; // (rows, cols) 1 or 0
+    float size;                 // m, edge of a cell
+};
+
 struct texture {
+    const struct texture_cells *cells; // NULL: none, the pattern counts
     enum texture_kind kind;
     uint32_t seed;
     float scale;        // m, size of the largest feature, > 0
     float contrast;     // 0..1 of the fine structure
-    float colour[3][3]; // linear reflectance, 0..1
+    float colour[3][3]; // linear reflectance, 0..1; of cells: white, black
 };
 
 /* Reflectance at p, m, in the solid's frame, of a surface with normal n (unit, same frame; chooses

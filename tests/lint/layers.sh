@@ -21,6 +21,7 @@ BEGIN {
     wrapper["^(spng|turbojpeg|jpeglib)\\.h$"] = "^drivers/format/img\\.c$"
     wrapper["^libraw/"] = "^drivers/format/rawphoto\\.c$"
     wrapper["^tiffio\\.h$"] = "^drivers/format/tiff\\.c$"
+    wrapper["^apriltag/"] = "^drivers/format/apriltags\\.c$"
     wrapper["^libheif/"] = "^drivers/format/heic\\.c$"
     wrapper["^libexif/"] = "^drivers/format/img\\.c$"
     wrapper["^(OpenEXR/)?openexr"] = "^drivers/format/exrfile\\.c$"

@@ -69,8 +69,10 @@ static void what_is_written_is_read_bit_for_bit(void **state)
                              {0}}};
     struct rig in = {.n = 2, .views = v}, out;
     const char *path = tmpdir_path("cameras.json");
+    in.metres = true;
     assert_int_equal(cameras_write(path, &in), OK);
     assert_int_equal(cameras_read(path, &out), OK);
+    assert_true(out.metres);
     assert_int_equal(out.n, 2);
     for (int i = 0; i < 2; i++) {
         assert_string_equal(out.views[i].name, v[i].name);
@@ -295,7 +297,7 @@ static void a_camera_is_turned_with_its_picture(void **state)
                          .cam = {80, 60, 50, 55, 41, 28, {0.5f, 0.1f, -0.7f, 0.5f}, {1, 2, 9}},
                          .lens = {LENS_OPENCV, 50, 55, 41, 28, {-0.1, 0.02, 0.01, -0.02}, 0}};
     assert_int_equal(lens_init(&v.lens), OK);
-    struct rig rig = {1, &v, true};
+    struct rig rig = {.n = 1, .views = &v, .stored = true};
     for (int i = 0; i < 4; i++) {
         const bool lies = i % 2;
         const struct cameras_picture p = {"a.jpg", lies ? 60 : 80, lies ? 80 : 60, orientation[i]};
@@ -328,7 +330,7 @@ static void the_size_tells_which_picture_a_camera_is_of(void **state)
 {
     (void)state;
     struct rig_view v = {.name = "a.jpg", .cam = {80, 60, 50, 55, 41, 28, {1, 0, 0, 0}, {0}}}, out;
-    struct rig rig = {1, &v, false};
+    struct rig rig = {.n = 1, .views = &v};
     struct cameras_picture p = {"a.jpg", 60, 80, 6};
     assert_int_equal(cameras_find("r", &rig, &p, &out), OK); // only the stored one has this aspect
     assert_true(out.cam.cx == 32 && out.cam.cy == 41);
