@@ -25,14 +25,15 @@ enum {
     STEPS_REFINE = 8,
     PRINCIPAL = 1 + LENS_TERMS
 };
-static const double SIGMA = 0.1,    // px, expected error of a corner
-    WIDE = 4, NARROW = 3,           // px; median errors: width of the loss
-    GATE = 6, GATE_LEAST = 0.3,     // median errors; px: of corners that agree
-    FISHEYE_GAIN = 0.7,             // of the cost, which a fisheye must reach
-    POOR = 100,                     // px^2, error of a pose that is none
+static const double SIGMA = 0.1, SIGMA_LEAST = 0.02, // px, expected error of a corner
+    WIDE = 4, NARROW = 3,                            // px; median errors: width of the loss
+    GATE = 6, GATE_LEAST = 0.3,                      // median errors; px: of corners that agree
+    FISHEYE_GAIN = 0.7,                              // of the cost, which a fisheye must reach
+    POOR = 100,                                      // px^2, error of a pose that is none
     FOCAL_PRIOR = 10, NO_PRIOR = 1, // 1 / deviation of ln focal length: of EXIF data, or unknown
     TERM_PRIOR[LENS_TERMS] = {2, 2, 20, 20},
                     CENTRE_PRIOR = 50, // longer edge / expected shift of the principal point
+    RAYLEIGH = 1.17741,                // median length of a vector of unit normals
     STRAIGHT = 0.1;                    // px: a lens that bends less is a pinhole
 
 static const double fields[] = {60, 45, 75, 90, 110, 30}; // degrees
@@ -578,11 +579,12 @@ static err_t refine(struct cal *c, const struct boardfit_points *points)
         e = run_check(c->r, "board");
         if (!e)
             e = median_sight(c->r, &b, &median);
-        b.points.kernel = NARROW * fmax(median, 0.1);
-        c->points.kernel = b.points.kernel;
+        median = fmax(median, 0.1);
+        const double corners = fmax(median_error(c, &b), 1e-3);
+        b.points.kernel = c->points.kernel = NARROW * median;
+        b.sigma = fmax(corners / RAYLEIGH, SIGMA_LEAST); // sights weigh by what they expect
         if (!e)
-            e = boardfit_run(c->r->tmp, &b, NARROW * fmax(median_error(c, &b), 1e-3), STEPS_REFINE,
-                             &cost);
+            e = boardfit_run(c->r->tmp, &b, NARROW * corners, STEPS_REFINE, &cost);
     }
     for (int i = 0; i < c->in->n_lenses; i++) {
         o->fit[i] = c->lens[i];
