@@ -100,6 +100,9 @@ at_least "commands in README.md" $commands 20
 for command in $("$HDRIG" --help | sed -n 's/^  \([a-z-]*\) .*/\1/p'); do
     "$HDRIG" "$command" --help
 done >"$OUT/help.txt"
+for command in $("$HDRIG" rig --help | sed -n 's/^  \([a-z]*\) .*/\1/p'); do
+    "$HDRIG" rig "$command" --help
+done >>"$OUT/help.txt"
 for option in $(grep -o -e '[`(: ]--[a-z][a-z-]*' "$readme" | tr -d '`(: ' | sort -u); do
     grep -q -e "$option" "$OUT/help.txt" || [ "$option" = --now ] || fail "README.md: no $option"
 done
