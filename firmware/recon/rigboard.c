@@ -10,9 +10,11 @@
 #include <stdlib.h>
 #include <string.h>
 
-static const float MARGIN_LEAST = 12;   // levels of 255, contrast of a tag's bits
-static const float MARGIN_SHARE = 0.6f; // of the best exposure, of those that count
-static const double EDGE_LEAST = 12;    // px, of a tag
+static const float MARGIN_LEAST = 12;    // levels of 255, contrast of a tag's bits
+static const float MARGIN_SHARE = 0.6f;  // of the best exposure, of those that count
+static const double EDGE_LEAST = 12;     // px, of a tag
+static const double FOCAL_UNSURE = 0.01; // standard error of ln focal length
+static const double AGREE_LEAST = 0.8;   // of the corners
 
 /* ---- tags of a take ---- */
 
@@ -356,6 +358,22 @@ static void note_lenses(const struct rigcal_job *job, const struct rigboard *b, 
     }
 }
 
+/* What the takes lack. */
+static void warn_weak(const struct rigboard *b, struct job_result *notes)
+{
+    for (int i = 0; i < b->n_lenses; i++)
+        if (b->found.lens_sd[i][0] > FOCAL_UNSURE)
+            job_result_warn(notes,
+                            "%.64s: the focal length is known within %.1f %% only: hold the board "
+                            "tilted, and nearer, in more takes",
+                            notes->found[i].camera_id, 100 * b->found.lens_sd[i][0]);
+    if (b->found.used < AGREE_LEAST * b->n)
+        job_result_warn(notes,
+                        "of %d corners of tags %d agree: the board is bent, moved while it was "
+                        "photographed, or there are two",
+                        b->n, b->found.used);
+}
+
 err_t rigboard_write(const struct rigcal_job *job, const struct rigboard *b,
                      struct rigcal_result *out)
 {
@@ -366,6 +384,7 @@ err_t rigboard_write(const struct rigcal_job *job, const struct rigboard *b,
     for (int i = 0; i < n && !e; i++)
         e = write_view(job, b, i, unit, &out->rig.views[out->rig.n++]);
     note_lenses(job, b, n, out->notes);
+    warn_weak(b, out->notes);
     out->rig.metres = job->tag_mm > 0;
     out->board = true;
     out->rms_px = (float)b->found.rms_px;
