@@ -89,6 +89,8 @@ static const struct key keys[] = {
      "/etc/hdrig/rig-password", 0},
     {"rig.member.", FIELD(rig_member), 0, 0, 1, 0,
      "boards of the rig, in the order of their cameras; none = all", TEXT, "", CONFIG_MEMBERS},
+    {"rig.meter", FIELD(rig_meter), 0, 0, 1, 0,
+     "boards that meter for all, separated by blanks; none = each of them", TEXT, "", 0},
     {"rig.partial", FIELD(rig_partial), 0, 1, 1, 0,
      "1 = a capture that lacks a board is used; 0 = it is not", WHOLE, NULL, 0},
     {"camera.", FIELD(camera), 0, 0, 1, 0,

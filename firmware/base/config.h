@@ -50,6 +50,7 @@ struct config {
     char rig_name[CONFIG_TEXT], rig_broker[CONFIG_TEXT], rig_board[CONFIG_TEXT];
     char rig_password_file[CONFIG_TEXT], rig_ca[CONFIG_TEXT];
     char rig_member[CONFIG_MEMBERS][CONFIG_TEXT]; // names of boards
+    char rig_meter[CONFIG_TEXT];
     int rig_partial;
     char camera[CONFIG_CAMERAS][CONFIG_TEXT]; // URIs
     int camera_w, camera_h;                   // px; 0: the camera's own

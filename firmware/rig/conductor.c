@@ -160,24 +160,24 @@ static void plan_take(struct conductor *c, struct conductor_take *t, int64_t now
     record_take(c, t, now_ns);
 }
 
-/* The members of a press, in the order of their cameras. */
-static void gather_members(struct conductor *c, struct conductor_take *t, int64_t now_ns)
+/* Those that do not meter have done so. */
+static err_t begin_metering(struct conductor *c, struct conductor_take *t)
 {
-    struct message_order *o = &t->order;
-    int turn = 0;
-    for (int i = 0; i < c->n; i++) {
-        const struct conductor_member *m = &c->member[i];
-        if (!conductor_members_belongs(c, m))
-            continue;
-        if (conductor_members_check(c, m, now_ns) != OK) {
-            snprintf(t->reason, sizeof t->reason, "without %s", m->name);
-            memcpy(t->out[t->n_out++], m->name, sizeof m->name);
-            continue;
-        }
-        memcpy(o->member[o->n], m->name, sizeof m->name);
-        o->turn[o->n++] = turn;
-        turn += m->said.cameras;
+    struct message_order o = t->order;
+    o.n = 0;
+    for (int k = 0; k < t->order.n; k++) {
+        if (conductor_members_meters(c, t->order.member[k]))
+            memcpy(o.member[o.n++], t->order.member[k], TAKE_MEMBER_CAP);
+        else
+            t->part[k] = PART_STORED;
     }
+    if (!o.n)
+        return err_fail(ERR_LOST, "none of rig.meter = %s can photograph now",
+                        c->cfg.set->rig_meter);
+    t->phase = TAKE_METERING;
+    t->order.serial = o.serial = ++c->serial;
+    order(c, &o, MESSAGE_METER);
+    return OK;
 }
 
 static err_t on_press(struct conductor *c, const struct conductor_event *ev)
@@ -188,16 +188,14 @@ static err_t on_press(struct conductor *c, const struct conductor_event *ev)
     struct conductor_take *t = free_take(c);
     *t = (struct conductor_take){.asked = ev->asked, .ordered_ns = ev->now_ns, .tries = 1};
     t->order.stagger = c->cfg.set->bracket_stagger != 0;
-    gather_members(c, t, ev->now_ns);
-    c->current = (int)(t - c->take);
+    conductor_members_gather(c, t, ev->now_ns);
     c->n_meters = 0;
-    if (!rigplan_is_metered(c->cfg.set)) {
+    e = rigplan_is_metered(c->cfg.set) ? begin_metering(c, t) : OK;
+    if (e)
+        return e;
+    c->current = (int)(t - c->take);
+    if (t->phase != TAKE_METERING)
         plan_take(c, t, ev->now_ns);
-        return OK;
-    }
-    t->phase = TAKE_METERING;
-    t->order.serial = ++c->serial;
-    order(c, &t->order, MESSAGE_METER);
     return OK;
 }
 

@@ -24,6 +24,12 @@ MUST_USE err_t conductor_members_check(const struct conductor *c, const struct c
 /* Whether all that belong can, or some if `partial`. err: ERR_LOST, ERR_LIMIT (cameras) */
 MUST_USE err_t conductor_members_check_all(const struct conductor *c, int64_t now_ns);
 
+/* Whether a board meters for the rig. */
+bool conductor_members_meters(const struct conductor *c, const char *name);
+
+/* Enter the members of a press, in the order of their cameras, and those that cannot take part. */
+void conductor_members_gather(const struct conductor *c, struct conductor_take *t, int64_t now_ns);
+
 /* ---- conductor_starts.c ---- */
 
 /* Sum of an order's exposures, s. */

@@ -86,3 +86,32 @@ err_t conductor_members_check_all(const struct conductor *c, int64_t now_ns)
                         MESSAGE_MEMBERS);
     return OK;
 }
+
+bool conductor_members_meters(const struct conductor *c, const char *name)
+{
+    const char *list = c->cfg.set->rig_meter;
+    const size_t n = strlen(name);
+    for (const char *p = list; (p = strstr(p, name)); p += n)
+        if ((p == list || p[-1] == ' ') && (p[n] == ' ' || !p[n]))
+            return true;
+    return !list[0];
+}
+
+void conductor_members_gather(const struct conductor *c, struct conductor_take *t, int64_t now_ns)
+{
+    struct message_order *o = &t->order;
+    int turn = 0;
+    for (int i = 0; i < c->n; i++) {
+        const struct conductor_member *m = &c->member[i];
+        if (!conductor_members_belongs(c, m))
+            continue;
+        if (conductor_members_check(c, m, now_ns) != OK) {
+            snprintf(t->reason, sizeof t->reason, "without %s", m->name);
+            memcpy(t->out[t->n_out++], m->name, sizeof m->name);
+            continue;
+        }
+        memcpy(o->member[o->n], m->name, sizeof m->name);
+        o->turn[o->n++] = turn;
+        turn += m->said.cameras;
+    }
+}

@@ -195,6 +195,25 @@ static void test_presses_that_are_refused(void **state)
     world_close(w);
 }
 
+static void test_boards_that_meter(void **state)
+{
+    (void)state;
+    struct world *w = ready_world(4, 5);
+    strcpy(w->set.rig_meter, "board-03 board-01");
+    assert_true(world_press(w));
+    world_run(w, 0.1);
+    for (int k = 0; k < 4; k++)
+        assert_int_equal(w->node[k].works, k == 1 || k == 3);
+    world_run(w, 20);
+    assert_int_equal(w->joints, 1);
+    strcpy(w->set.rig_meter, "board-0 oard-01 board-011"); // none of these
+    refused(w, "none of rig.meter");
+    w->set.rig_meter[0] = 0;
+    assert_true(world_press(w));
+    finish(w);
+    world_close(w);
+}
+
 static void test_member_dies_while_it_shoots(void **state)
 {
     (void)state;
@@ -402,6 +421,7 @@ int main(void)
         cmocka_unit_test(test_orders_that_come_again),
         cmocka_unit_test(test_press_becomes_a_take),
         cmocka_unit_test(test_presses_that_are_refused),
+        cmocka_unit_test(test_boards_that_meter),
         cmocka_unit_test(test_member_dies_while_it_shoots),
         cmocka_unit_test(test_partial_take),
         cmocka_unit_test(test_late_delivery),
