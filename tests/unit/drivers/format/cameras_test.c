@@ -67,11 +67,11 @@ static void what_is_written_is_read_bit_for_bit(void **state)
                              {{0}, {0}},
                              false,
                              {0}}};
-    struct rig in = {.n = 2, .views = v, .metres = true}, out;
+    struct rig in = {.n = 2, .views = v}, out;
     const char *path = tmpdir_path("cameras.json");
     assert_int_equal(cameras_write(path, &in), OK);
     assert_int_equal(cameras_read(path, &out), OK);
-    assert_true(out.metres && out.n == 2);
+    assert_int_equal(out.n, 2);
     for (int i = 0; i < 2; i++) {
         assert_string_equal(out.views[i].name, v[i].name);
         assert_memory_equal(&out.views[i].cam, &v[i].cam, sizeof v[i].cam);
@@ -91,6 +91,21 @@ static void what_is_written_is_read_bit_for_bit(void **state)
     assert_true(out.views[1].cam.w == 31 && out.views[1].lens.term[1] == 1e-9);
     assert_true(out.views[0].cam.w == 640 && out.views[0].lens.model == LENS_OPENCV);
     cameras_free(&out);
+}
+
+static void the_unit_is_kept(void **state)
+{
+    struct rig_view v = {.name = "a.png", .cam = {1, 1, 1, 1, 0, 0, {1, 0, 0, 0}, {0, 0, 0}}};
+    struct rig in = {.n = 1, .views = &v}, out;
+    const char *path = tmpdir_path("unit.json");
+    (void)state;
+    for (int i = 0; i < 2; i++) {
+        in.metres = i == 1;
+        assert_int_equal(cameras_write(path, &in), OK);
+        assert_int_equal(cameras_read(path, &out), OK);
+        assert_true(out.metres == in.metres);
+        cameras_free(&out);
+    }
 }
 
 static void a_full_disk_is_noticed(void **state)
@@ -352,6 +367,7 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(what_is_written_is_read_bit_for_bit),
+        cmocka_unit_test(the_unit_is_kept),
         cmocka_unit_test(a_full_disk_is_noticed),
         cmocka_unit_test(nonsense_is_refused_with_its_name),
         cmocka_unit_test(numbers_are_checked),
