@@ -88,7 +88,7 @@ scripts() { # folder-of-the-build script...
 smoke='bad_input capture formats golden quality'
 # Ten seconds and more each: `test` goes without them.
 without=
-longest='plan_test selfcal_test session_focus_test session_random_test'
+longest='plan_test selfcal_test session_focus_test session_random_test session_start_test'
 # Half a minute and more each, and other tests look at the same code: these wait for `long`.
 slow='bracket_scene budget lens network rig selftest shapes simulated size tags view'
 is_slow() { # name of a script
