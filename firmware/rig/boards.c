@@ -11,6 +11,8 @@
 #include <sys/statvfs.h>
 
 #define SECOND INT64_C(1000000000)
+// in the dark frames are long, and a press need not wait for many of them
+#define LEAD_MOST_S 3.0
 #define HEARTBEAT_NS (5 * SECOND) // between announcements of an unchanged state
 #define ASK_NS SECOND             // between questions for the time,
 #define ASK_FAST_NS (SECOND / 10) // and the first of them
@@ -89,7 +91,7 @@ static void describe(struct boards *b, struct message_member *m)
     if (mqtt_address(b->mqtt, m->host, sizeof m->host) != OK)
         m->host[0] = 0;
     snprintf(m->sentence, sizeof m->sentence, "%s", trouble ? trouble : "ready to capture");
-    m->lead_ns = (int64_t)(fmin(b->cfg.lead_s(b->cfg.ctx), 60.0) * 1e9);
+    m->lead_ns = (int64_t)(fmin(b->cfg.lead_s(b->cfg.ctx), LEAD_MOST_S) * 1e9);
     m->free_mb =
         statvfs(b->set->store_path, &v) == 0 ? (double)v.f_bavail * (double)v.f_frsize / 1e6 : -1;
     m->clock_known = rigclock_read(&b->clock, clocks_now(), &c);
