@@ -115,9 +115,8 @@ MUST_USE err_t session_focus(struct session *s, bool again);
 
 /* ---- session_start.c ---- */
 
-/* Notes a frame of a camera that waits; forgets all of them, as its exposure changes. */
+/* Note a frame of a camera that waits. session_machine_arm forgets them: exposures may change. */
 void session_start_see(struct session *s, int camera, const struct frame *f, int64_t now);
-void session_start_forget(struct cam *c);
 
 /* session_lead_s */
 double session_start_lead_s(const struct session *s);

@@ -134,6 +134,13 @@ err_t session_machine_event(struct session *s, const struct bracket_event *ev,
 
 /* ---- waiting ---- */
 
+/* Its frames have another length from now on, or soon. */
+static void forget_starts(struct cam *c)
+{
+    c->starts.skip = SESSION_SETTLE;
+    c->starts.n = c->starts.len_n = 0;
+}
+
 /* A camera that refuses the request is treated as lost. */
 err_t session_machine_arm(struct session *s, int i, double base_s)
 {
@@ -154,7 +161,7 @@ err_t session_machine_arm(struct session *s, int i, double base_s)
     ev.now_ns = backends_now(c->ops, c->st);
     ev.set = c->set;
     c->looked = false;
-    session_start_forget(c);
+    forget_starts(c);
     c->look_ns = ev.now_ns + (int64_t)(SESSION_SETTLE * fmax(info->period_s, c->set.time_s) * 1e9);
     return session_machine_event(s, &ev, NULL);
 }

@@ -35,12 +35,6 @@ struct frame_line {
 
 /* ---- when frames begin ---- */
 
-void session_start_forget(struct cam *c)
-{
-    c->starts.skip = SESSION_SETTLE;
-    c->starts.n = c->starts.len_n = 0;
-}
-
 /* From the begin of a frame to that of its exposure, ns. */
 static double lateness(const struct camera_info *info, double time_s)
 {

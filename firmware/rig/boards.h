@@ -75,9 +75,6 @@ bool boards_take(struct boards *b, struct take *t);
 void boards_stored(struct boards *b, const struct take *t, const char *id, err_t e,
                    const char *text);
 
-/* begin() could not be followed to its end: no take will come. */
-void boards_failed(struct boards *b, const char *text);
-
 /* Why a press would be refused, as a sentence; NULL: it would not. */
 const char *boards_trouble(const struct boards *b);
 

@@ -18,7 +18,7 @@ static void answer_time(struct boards *b, const char *member, struct message_tim
     m->replied_ns = c.monotonic_ns + common;
     m->disciplined = clocks_bound(&m->within_ns);
     m->real_ns = c.realtime_ns;
-    boards_publish_time(b, MESSAGE_TIME, member, m);
+    boards_act_publish_time(b, MESSAGE_TIME, member, m);
 }
 
 static void hear_time(struct boards *b, const struct message_time *m)
@@ -56,9 +56,9 @@ static void hear_conductor(struct boards *b, const struct mqtt_event *m)
         b->clock = (struct rigclock){0};
         b->ask_ns = 0;
     }
-    boards_tell_conductor(b, (struct conductor_event){.kind = CONDUCTOR_OTHER, .conductor = &c});
+    boards_act_tell(b, (struct conductor_event){.kind = CONDUCTOR_OTHER, .conductor = &c});
     member_event(&b->member, &(struct member_event){.kind = MEMBER_CONDUCTOR, .conductor = &c});
-    boards_follow(b);
+    boards_act_member(b);
 }
 
 static void hear_order(struct boards *b, const struct mqtt_event *m)
@@ -73,7 +73,7 @@ static void hear_order(struct boards *b, const struct mqtt_event *m)
     ev.common_known = rigclock_read(&b->clock, b->heard_ns, &c);
     ev.common_ns = b->heard_ns + c.offset_ns;
     member_event(&b->member, &ev);
-    boards_follow(b);
+    boards_act_member(b);
 }
 
 static void hear_member(struct boards *b, const char *name, const struct mqtt_event *m)
@@ -82,7 +82,7 @@ static void hear_member(struct boards *b, const char *name, const struct mqtt_ev
     if (!m->n) // forgotten
         return;
     if (message_read_member(m->payload, m->n, &b->heard) == OK)
-        boards_tell_conductor(b, ev);
+        boards_act_tell(b, ev);
     else
         log_warn("rig: %s: %s", name, err_text());
 }
@@ -92,7 +92,7 @@ static void hear_report(struct boards *b, const char *name, const struct mqtt_ev
     struct message_report r;
     struct conductor_event ev = {.kind = CONDUCTOR_REPORT, .name = name, .report = &r};
     if (message_read_report(m->payload, m->n, &r) == OK)
-        boards_tell_conductor(b, ev);
+        boards_act_tell(b, ev);
     else
         log_warn("rig: %s: %s", name, err_text());
 }
@@ -104,7 +104,8 @@ static void hear_press(struct boards *b, const char *name, const struct mqtt_eve
     if (message_read_time(m->payload, m->n, &t) != OK || t.sent_ns == b->press_sent_ns)
         return;
     b->press_sent_ns = t.sent_ns;
-    if (b->has_conductor && boards_press(b, false) != OK)
+    const struct conductor_event press = {.kind = CONDUCTOR_PRESS};
+    if (b->has_conductor && boards_act_lead(b, press) != OK)
         log_info("rig: press at %s not answered: %s", name, err_text());
 }
 
@@ -156,6 +157,6 @@ void boards_hear(struct boards *b, const struct mqtt_event *m)
         log_warn("rig: %s", m->why);
     snprintf(b->broker, sizeof b->broker, "%.*s", TAKE_TEXT - 1, up ? "" : m->why);
     member_event(&b->member, &(struct member_event){.kind = up ? MEMBER_UP : MEMBER_DOWN});
-    boards_follow(b);
-    boards_tell_conductor(b, (struct conductor_event){.kind = up ? CONDUCTOR_UP : CONDUCTOR_DOWN});
+    boards_act_member(b);
+    boards_act_tell(b, (struct conductor_event){.kind = up ? CONDUCTOR_UP : CONDUCTOR_DOWN});
 }

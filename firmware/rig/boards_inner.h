@@ -42,17 +42,31 @@ struct boards {
     struct task task;
 };
 
-/* ---- boards.c ---- */
+/* ---- boards_act.c ---- */
 
 /* Carry out the actions of the member's machine. */
-void boards_follow(struct boards *b);
+void boards_act_member(struct boards *b);
 
-/* Pass an event to the conductor, if this board is one, and carry out its actions. */
-void boards_tell_conductor(struct boards *b, struct conductor_event ev);
+/* Its work has ended so. */
+void boards_act_report(struct boards *b, enum member_event_kind kind,
+                       const struct message_report *r);
+void boards_act_failed(struct boards *b, const char *text);
+
+/* Publish the state of the member; that this board leaves. */
+void boards_act_announce(struct boards *b);
+void boards_act_leave(struct boards *b);
+
+/* Pass an event to the conductor and carry out its actions. err: as conductor_event; ERR_ARG (this
+ * board is none). boards_act_tell: if it is one, errors to the log. */
+MUST_USE err_t boards_act_lead(struct boards *b, struct conductor_event ev);
+void boards_act_tell(struct boards *b, struct conductor_event ev);
 
 /* QoS 0 for ASK and TIME. */
-void boards_publish_time(struct boards *b, enum message_topic t, const char *member,
-                         const struct message_time *m);
+void boards_act_publish_time(struct boards *b, enum message_topic t, const char *member,
+                             const struct message_time *m);
+
+/* An error goes to the log. */
+void boards_act_add(struct tasks *t, const struct task *k);
 
 /* ---- boards_hear.c ---- */
 

@@ -200,8 +200,7 @@ static err_t open_conductor(struct boards *b)
         char *text = NULL;
         if (joint_order(b->set->store_path, ids[i], &text) == OK &&
             message_read_order(text, strlen(text), &o) == OK)
-            boards_tell_conductor(b,
-                                  (struct conductor_event){.kind = CONDUCTOR_MEMORY, .order = &o});
+            boards_act_tell(b, (struct conductor_event){.kind = CONDUCTOR_MEMORY, .order = &o});
         else
             log_warn("rig: %s waits for its parts, but %s", ids[i], err_text());
         free(text);
