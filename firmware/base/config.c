@@ -422,7 +422,7 @@ bool config_collects(const struct config *c)
            (c->session_collect == CONFIG_COLLECT_AUTO && one);
 }
 
-static bool is_loopback(const char *address)
+bool config_is_loopback(const char *address)
 {
     return strncmp(address, "127.", 4) == 0 || strcmp(address, "::1") == 0;
 }
@@ -448,7 +448,7 @@ err_t config_check_rig(const struct config *c)
         return err_fail(ERR_ARG, "bracket.mode is auto, which has no use for bracket.middle_us");
     if (c->session_collect == CONFIG_COLLECT_YES && c->rig_role != CONFIG_ALONE)
         return err_fail(ERR_ARG, "session.collect is for one board alone, but rig.role is set");
-    if (c->http_port && !is_loopback(c->http_address) && !c->http_token[0] &&
+    if (c->http_port && !config_is_loopback(c->http_address) && !c->http_token[0] &&
         !c->http_token_file[0])
         return err_fail(ERR_ARG,
                         "http.address %s is open to others: http.token must be set, or the address "

@@ -96,6 +96,9 @@ MUST_USE err_t config_set(struct config *c, const char *where, const char *key, 
 /* As config_set for "key=value", the argument of --set. */
 MUST_USE err_t config_assign(struct config *c, const char *text);
 
+/* Whether an address is of this machine alone. */
+bool config_is_loopback(const char *address);
+
 /* Stops of bracket.ev into ev, which has room for cap; the number, 0 if there are none.
  * err:  ERR_ARG names the word and the range, or that there are too many. */
 MUST_USE err_t config_stops(const char *where, const char *text, double *ev, int cap, int *n);

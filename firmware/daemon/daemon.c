@@ -670,7 +670,8 @@ static err_t open_all(struct daemon *d)
         e = ctl_open(c->control_socket, on_line, d, &d->ctl);
     d->calibrator = (struct calibrator){
         .set = c, .config_path = d->cfg->config_path, .program = d->cfg->program, .ctl = d->ctl};
-    boards_open_token(d->parts_token);
+    if (!e && c->rig_role != CONFIG_ALONE)
+        e = boards_open_token(d->parts_token);
     struct http_config http = {.address = c->http_address,
                                .port = c->http_port,
                                .token = c->http_token,

@@ -38,8 +38,8 @@ struct boards;
  * err:  ERR_ARG */
 MUST_USE err_t boards_open_name(const struct config *set, char out[TAKE_MEMBER_CAP]);
 
-/* A new random token, MESSAGE_TOKEN_CAP bytes: for each run of the daemon. */
-void boards_open_token(char *out);
+/* A new random token, MESSAGE_TOKEN_CAP bytes: for each run of the daemon. err: ERR_IO */
+MUST_USE err_t boards_open_token(char *out);
 
 /* err:  ERR_ARG (names, broker, settings that do not fit a role), ERR_IO (password, certificate),
  *       ERR_NOMEM */

@@ -241,7 +241,6 @@ static void do_on_disk(struct boards *b, enum task_kind kind, const struct condu
     memcpy(k->take, a->take, sizeof k->take);
     k->n_missing = a->n_missing;
     memcpy(k->missing, a->missing, sizeof k->missing);
-    memcpy(k->reason, a->text, sizeof k->reason);
     if (kind == TASK_JOIN) {
         k->trigger = clocks_at(a->order.start_ns - b->conductor.cfg.common_ns);
         k->clock_synced = clocks_synced();

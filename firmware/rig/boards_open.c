@@ -1,3 +1,4 @@
+#include "firmware/base/entropy.h"
 #include "firmware/rig/boards_inner.h"
 #include "firmware/store/joint.h"
 
@@ -10,7 +11,6 @@
 #include <inttypes.h>
 #include <stdlib.h>
 #include <string.h>
-#include <sys/random.h>
 #include <unistd.h>
 
 enum { PASSWORD_MAX = 256 };
@@ -46,7 +46,7 @@ err_t boards_open_name(const struct config *set, char out[TAKE_MEMBER_CAP])
         if (*p == '.')
             *p-- = 0;
     }
-    if (strlen(set->rig_board) >= TAKE_MEMBER_CAP || !message_is_name(out))
+    if (strlen(set->rig_board) >= TAKE_MEMBER_CAP || !manifest_is_member(out))
         return err_fail(ERR_ARG,
                         "rig.board: \"%.40s\" is not a name of at most %d small letters, digits "
                         "and -",
@@ -57,7 +57,7 @@ err_t boards_open_name(const struct config *set, char out[TAKE_MEMBER_CAP])
 static err_t check_settings(const struct boards_config *cfg)
 {
     const struct config *set = cfg->set;
-    if (!message_is_name(set->rig_name))
+    if (!manifest_is_member(set->rig_name))
         return err_fail(ERR_ARG, "rig.name: \"%.40s\" is not a name of small letters, digits and -",
                         set->rig_name);
     if (!set->rig_broker[0])
@@ -89,19 +89,21 @@ static err_t read_password(const char *path, char out[PASSWORD_MAX])
     return OK;
 }
 
-static void put_random(char *out, size_t digits)
+static err_t put_random(char *out, size_t digits)
 {
-    unsigned char raw[16] = {0};
-    if (getrandom(raw, sizeof raw, 0) != (ssize_t)sizeof raw)
-        log_warn("rig: no random numbers");
+    unsigned char raw[16];
+    err_t e = entropy_fill(raw, sizeof raw);
+    if (e)
+        return e;
     for (size_t i = 0; i < digits; i++)
         out[i] = "0123456789abcdef"[i % 2 ? raw[i / 2] >> 4 : raw[i / 2] & 15];
     out[digits] = 0;
+    return OK;
 }
 
-void boards_open_token(char *out)
+err_t boards_open_token(char *out)
 {
-    put_random(out, MESSAGE_TOKEN_CAP - 1);
+    return put_random(out, MESSAGE_TOKEN_CAP - 1);
 }
 
 static err_t open_mqtt(struct boards *b)
@@ -232,12 +234,13 @@ err_t boards_open(const struct boards_config *cfg, struct boards **out)
     b->set = cfg->set;
     b->has_conductor = cfg->set->rig_role == CONFIG_CONDUCTOR;
     b->has_member = cfg->cameras > 0;
-    put_random(b->boot, MESSAGE_EPOCH_CAP - 1);
     snprintf(b->epoch, sizeof b->epoch, "%016" PRIx64,
              (uint64_t)clocks_at(clocks_now()).realtime_ns);
     snprintf(b->token, sizeof b->token, "%s", cfg->token);
     snprintf(b->broker, sizeof b->broker, "the broker is not reached yet");
     err_t e = check_settings(cfg);
+    if (!e)
+        e = put_random(b->boot, MESSAGE_EPOCH_CAP - 1);
     if (!e)
         e = boards_open_name(cfg->set, name);
     if (!e) {

@@ -3,6 +3,7 @@
  * clock begins with some time of the past. */
 #include "firmware/rig/broker.h"
 
+#include "firmware/base/entropy.h"
 #include "firmware/base/tool.h"
 #include "firmware/rig/message.h"
 
@@ -18,7 +19,6 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sys/file.h>
-#include <sys/random.h>
 #include <sys/stat.h>
 #include <time.h>
 #include <unistd.h>
@@ -169,9 +169,9 @@ static err_t make_certificate(const struct work *w, const char *who)
 {
     char line[256];
     uint32_t number = 0; // tells this authority from others, so that refusals say so
-    if (getrandom(&number, sizeof number, 0) != (ssize_t)sizeof number)
-        return err_fail(ERR_IO, "no random numbers");
-    err_t e = openssl(w, "ecparam -name prime256v1 -genkey -noout -out key");
+    err_t e = entropy_fill(&number, sizeof number);
+    if (!e)
+        e = openssl(w, "ecparam -name prime256v1 -genkey -noout -out key");
     snprintf(line, sizeof line,
              "req -new -config conf -key key -subj \"/CN=hdrig %s %08" PRIx32 "\" -out csr", who,
              number);
@@ -272,11 +272,11 @@ static err_t check_site(const char *dir, const struct broker_site *s)
                         "\"%s\" is neither a name of a host nor an address, like "
                         "192.168.1.5 or [fd00::5]",
                         s->host);
-    if (!message_is_name(s->rig) || !message_is_name(s->conductor))
+    if (!manifest_is_member(s->rig) || !manifest_is_member(s->conductor))
         return err_fail(ERR_ARG,
                         "\"%s\": names of rigs and boards have small letters, digits and "
                         "-, at most %d",
-                        message_is_name(s->rig) ? s->conductor : s->rig, TAKE_MEMBER_CAP - 1);
+                        manifest_is_member(s->rig) ? s->conductor : s->rig, TAKE_MEMBER_CAP - 1);
     if (dir[0] != '/' || strpbrk(dir, "\n\r"))
         return err_fail(ERR_ARG, "%.200s: the folder's path must begin with /", dir);
     if (!file_is_dir(dir))
@@ -448,16 +448,17 @@ static err_t make_line(const char *dir, const char *board, struct joinline *j)
 {
     unsigned char raw[PASSWORD_BYTES];
     struct broker_site site;
-    const err_t e = broker_site(dir, &site);
+    err_t e = broker_site(dir, &site);
     if (e)
         return e;
-    if (!message_is_name(board))
+    if (!manifest_is_member(board))
         return err_fail(ERR_ARG,
                         "\"%.40s\": a board's name has small letters, digits and -, at "
                         "most %d",
                         board, TAKE_MEMBER_CAP - 1);
-    if (getrandom(raw, sizeof raw, 0) != (ssize_t)sizeof raw)
-        return err_fail(ERR_IO, "no random numbers");
+    e = entropy_fill(raw, sizeof raw);
+    if (e)
+        return e;
     *j = (struct joinline){.port = site.port};
     snprintf(j->host, sizeof j->host, "%s", site.host);
     snprintf(j->rig, sizeof j->rig, "%s", site.rig);

@@ -773,10 +773,11 @@ err_t conductor_init(struct conductor *c, const struct conductor_config *cfg)
         const char *name = cfg->set->rig_member[i];
         if (!name[0])
             continue;
-        if (!message_is_name(name) || conductor_members_find(c, name))
+        if (!manifest_is_member(name) || conductor_members_find(c, name))
             return err_fail(ERR_ARG, "rig.member.%d: \"%s\" %s", i + 1, name,
-                            message_is_name(name) ? "is there twice"
-                                                  : "is not a name of small letters, digits and -");
+                            manifest_is_member(name)
+                                ? "is there twice"
+                                : "is not a name of small letters, digits and -");
         conductor_members_add(c, name)->listed = true;
     }
     return OK;

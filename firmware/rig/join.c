@@ -1,6 +1,7 @@
 #include "firmware/rig/join.h"
 
 #include "firmware/base/confedit.h"
+#include "firmware/base/entropy.h"
 
 #include "core/base/base64.h"
 #include "drivers/device/clocks.h"
@@ -10,7 +11,6 @@
 #include <poll.h>
 #include <stdlib.h>
 #include <string.h>
-#include <sys/random.h>
 
 enum { TOKEN_BYTES = 12, TRY_MS = 8000, KEYS = 10 };
 
@@ -59,16 +59,12 @@ static err_t write_secret(const char *path, const char *value)
     return e;
 }
 
-static bool is_loopback(const char *address)
-{
-    return strncmp(address, "127.", 4) == 0 || strcmp(address, "::1") == 0;
-}
-
 static err_t make_token(char out[JOINLINE_PASSWORD_CAP])
 {
     unsigned char raw[TOKEN_BYTES];
-    if (getrandom(raw, sizeof raw, 0) != (ssize_t)sizeof raw)
-        return err_fail(ERR_IO, "no random numbers");
+    err_t e = entropy_fill(raw, sizeof raw);
+    if (e)
+        return e;
     *base64_encode_url(out, raw, sizeof raw) = 0;
     return OK;
 }
@@ -96,7 +92,7 @@ static void list_changes(const struct join *j, const struct paths *p, const stru
     add_value(c, "rig.broker", c->broker);
     add_value(c, "rig.ca", p->ca);
     add_value(c, "rig.password_file", p->password);
-    if (is_loopback(old->http_address))
+    if (config_is_loopback(old->http_address))
         add_value(c, "http.address", "0.0.0.0");
     if (!old->http_token[0])
         add_value(c, "http.token_file", p->token);

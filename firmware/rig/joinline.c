@@ -39,9 +39,9 @@ static err_t check_fields(const struct joinline *j)
     snprintf(url, sizeof url, "mqtts://%s:%d", j->host, j->port);
     if (mqtt_parse_url(url, &parts) != OK || parts.port != j->port)
         return err_fail(ERR_ARG, "\"%s\" port %d is no host or address", j->host, j->port);
-    if (!message_is_name(j->rig))
+    if (!manifest_is_member(j->rig))
         return err_fail(ERR_ARG, "\"%s\" is no name of a rig: small letters, digits and -", j->rig);
-    if (!message_is_name(j->board))
+    if (!manifest_is_member(j->board))
         return err_fail(ERR_ARG, "\"%s\" is no name of a board: small letters, digits and -",
                         j->board);
     if (n < JOINLINE_PASSWORD_MIN || strspn(j->password, URL_DIGITS) != n)

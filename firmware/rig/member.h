@@ -72,7 +72,7 @@ struct member {
     struct member_action action[MEMBER_ACTIONS];
 };
 
-/* name: by message_is_name */
+/* name: by manifest_is_member */
 void member_init(struct member *m, const char *name);
 
 /* Handle an event; then call member_action until it is false. */

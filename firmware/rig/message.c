@@ -32,13 +32,6 @@ static bool has_member(enum message_topic t)
     return t != MESSAGE_CONDUCTOR && t != MESSAGE_ORDER;
 }
 
-bool message_is_name(const char *name)
-{
-    const size_t n = strlen(name);
-    return n > 0 && n < TAKE_MEMBER_CAP && name[0] != '-' &&
-           strspn(name, "abcdefghijklmnopqrstuvwxyz0123456789-") == n;
-}
-
 void message_topic(const char *rig, enum message_topic t, const char *member,
                    char out[MESSAGE_TOPIC_CAP])
 {
@@ -55,7 +48,7 @@ enum message_topic message_kind(const char *rig, const char *topic, char member[
         const size_t n = strlen(head);
         if (!has_member(t) && strcmp(topic, head) == 0)
             return t;
-        if (!has_member(t) || strncmp(topic, head, n) != 0 || !message_is_name(topic + n))
+        if (!has_member(t) || strncmp(topic, head, n) != 0 || !manifest_is_member(topic + n))
             continue;
         snprintf(member, TAKE_MEMBER_CAP, "%s", topic + n);
         return t;
@@ -341,7 +334,8 @@ static err_t read_members(const char *what, const struct cJSON *doc, struct mess
         return refuse(what, "members");
     for (const struct cJSON *x = json_first(list); x; x = json_next(x)) {
         const char *name = json_string(get(x, "name"));
-        if (!name || !message_is_name(name) || !read_whole(get(x, "turn"), 0, 1e6, &m->turn[m->n]))
+        if (!name || !manifest_is_member(name) ||
+            !read_whole(get(x, "turn"), 0, 1e6, &m->turn[m->n]))
             return refuse(what, "members");
         snprintf(m->member[m->n++], TAKE_MEMBER_CAP, "%s", name);
     }

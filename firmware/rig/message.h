@@ -6,6 +6,7 @@
 #define RIG_MESSAGE_H
 
 #include "firmware/capture/take.h"
+#include "firmware/store/manifest.h"
 
 #include "core/base/sha256.h"
 
@@ -37,10 +38,6 @@ enum message_topic {
     MESSAGE_PRESS,     // a trigger of a member was pressed
     MESSAGE_TOPICS
 };
-
-/* Letters a-z, digits and '-', at most TAKE_MEMBER_CAP - 1, '-' not first: names of rigs and
- * boards. */
-bool message_is_name(const char *name);
 
 /* member: NULL for topics without one; "+" for a filter. */
 void message_topic(const char *rig, enum message_topic t, const char *member,

@@ -33,7 +33,7 @@ struct tasks {
     pthread_cond_t work;
     struct queue in, out;
     atomic_bool stop;
-    _Atomic uint64_t done, all;
+    uint64_t all; // bytes of the part that is fetched: of the thread
     int fd;
 };
 
@@ -88,7 +88,7 @@ static err_t drop(struct tasks *t, struct task *k)
 static void on_progress(void *ctx, uint64_t done, uint64_t all)
 {
     struct tasks *t = ctx;
-    t->done = done;
+    (void)done;
     t->all = all;
 }
 
@@ -154,7 +154,7 @@ static err_t fetch(struct tasks *t, struct task *k)
                                      .progress = on_progress,
                                      .ctx = t};
     const struct fetch_item item = {url, path, (uint64_t)k->part.bytes, k->part.sha256};
-    t->done = t->all = 0;
+    t->all = 0;
     snprintf(url, sizeof url, "%s/parts/%s/%s", k->url, k->part.part, MANIFEST_FILE);
     err_t e = joint_part_make(t->store, k->take, k->member);
     if (!e)
@@ -344,10 +344,4 @@ bool tasks_outcome(struct tasks *t, struct task *out)
     *out = e->task;
     free(e);
     return true;
-}
-
-void tasks_progress(struct tasks *t, uint64_t *done, uint64_t *all)
-{
-    *done = t->done;
-    *all = t->all;
 }

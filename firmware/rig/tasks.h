@@ -32,7 +32,6 @@ struct task {
     bool clock_synced;
     int n_missing;
     char missing[MESSAGE_MEMBERS][TAKE_MEMBER_CAP];
-    char reason[TAKE_TEXT]; // JOIN: a warning
     /* outcome */
     err_t err;
     char text[TAKE_TEXT];
@@ -61,8 +60,5 @@ int tasks_fd(const struct tasks *t); // readable when an outcome waits
 
 /* false: none waits. */
 bool tasks_outcome(struct tasks *t, struct task *out);
-
-/* Bytes fetched of those of the part that is being fetched. */
-void tasks_progress(struct tasks *t, uint64_t *done, uint64_t *all);
 
 #endif

@@ -238,10 +238,8 @@ err_t part_read(const struct store_fs *fs, const char *dir, const char *id, cons
     err_t e = file_join(dir, MANIFEST_FILE, path);
     if (e)
         return e;
-    char *text = malloc(JSON_BYTES_MAX + 1); // one more shows that it is too long
-    if (!text)
-        return err_fail(ERR_NOMEM, "%s: no memory to read it", path);
-    e = store_fs_read(fs, path, text, JSON_BYTES_MAX + 1, &n);
+    char *text;
+    e = store_fs_text(fs, path, JSON_BYTES_MAX, &text, &n);
     if (!e)
         e = part_parse(path, text, n, id, member, out);
     free(text);

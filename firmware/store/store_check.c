@@ -58,10 +58,8 @@ err_t store_check_manifest(const struct store_fs *fs, const char *dir, struct ma
         e = err_fail(ERR_FORMAT, "%s: is missing", path);
     if (e)
         return e;
-    char *text = malloc(JSON_BYTES_MAX + 1); // one more shows that it is too long
-    if (!text)
-        return err_fail(ERR_NOMEM, "%s: no memory to read it", path);
-    e = store_fs_read(fs, path, text, JSON_BYTES_MAX + 1, &n);
+    char *text;
+    e = store_fs_text(fs, path, JSON_BYTES_MAX, &text, &n);
     if (!e)
         e = manifest_parse(path, text, n, m);
     free(text);

@@ -7,6 +7,7 @@
 #include <errno.h>
 #include <fcntl.h>
 #include <stdbool.h>
+#include <stdlib.h>
 #include <string.h>
 #include <sys/stat.h>
 #include <unistd.h>
@@ -238,6 +239,19 @@ err_t store_fs_link(const struct store_fs *fs, const char *from, const char *to,
 }
 
 /* ---- folders ---- */
+
+err_t store_fs_text(const struct store_fs *fs, const char *path, size_t max, char **text, size_t *n)
+{
+    *text = malloc(max + 1);
+    if (!*text)
+        return err_fail(ERR_NOMEM, "%s: no memory to read it", path);
+    err_t e = store_fs_read(fs, path, *text, max + 1, n);
+    if (e) {
+        free(*text);
+        *text = NULL;
+    }
+    return e;
+}
 
 err_t store_fs_sync_dir(const struct store_fs *fs, const char *path)
 {

@@ -76,6 +76,12 @@ MUST_USE err_t store_fs_sync(const struct store_fs *fs, const char *path);
 MUST_USE err_t store_fs_link(const struct store_fs *fs, const char *from, const char *to,
                              bool *copied);
 
+/* A whole file of at most `max` bytes; of a longer one, max + 1 bytes, so that it shows.
+ * own:  free.
+ * err:  ERR_IO, ERR_NOMEM. On error *text is NULL. */
+MUST_USE err_t store_fs_text(const struct store_fs *fs, const char *path, size_t max, char **text,
+                             size_t *n);
+
 /* Make the names in a folder durable.
  * err:  ERR_IO, ERR_LIMIT. */
 MUST_USE err_t store_fs_sync_dir(const struct store_fs *fs, const char *path);

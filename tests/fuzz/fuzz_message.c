@@ -69,7 +69,7 @@ static void within_bounds(void)
     must(order_read.n >= 0 && order_read.n <= MESSAGE_MEMBERS && order_read.serial >= 0);
     must(times_ok(order_read.n_times, order_read.time_s));
     for (int i = 0; i < order_read.n; i++)
-        must(message_is_name(order_read.member[i]) && order_read.turn[i] >= 0);
+        must(manifest_is_member(order_read.member[i]) && order_read.turn[i] >= 0);
     must(report_read.n_cameras >= 0 && report_read.n_cameras <= BRACKET_CAMERAS_MAX);
     must(report_read.n_starts >= 0 && report_read.n_starts <= TAKE_FRAMES_MAX);
     for (int i = 0; i < report_read.n_cameras; i++)
@@ -89,7 +89,7 @@ static void topic(const uint8_t *data, size_t size)
     char full[MESSAGE_TOPIC_CAP];
     const enum message_topic t = message_kind("rig", text, name);
     if (t != MESSAGE_TOPICS) {
-        must(!*name || message_is_name(name));
+        must(!*name || manifest_is_member(name));
         message_topic("rig", t, name, full);
         must(strcmp(full, text) == 0);
     }

@@ -256,9 +256,9 @@ static void names(void **state)
                                       "a#",   "a b", "a\n",  "\xc3\xa4", FULL_NAME "d", "$sys",
                                       "a\"b", "..",  "+",    "#"};
     for (size_t i = 0; i < sizeof good / sizeof good[0]; i++)
-        assert_true(message_is_name(good[i]));
+        assert_true(manifest_is_member(good[i]));
     for (size_t i = 0; i < sizeof bad / sizeof bad[0]; i++)
-        assert_false(message_is_name(bad[i]));
+        assert_false(manifest_is_member(bad[i]));
 }
 
 static void topics(void **state)
