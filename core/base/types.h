@@ -8,6 +8,7 @@
 #include "core/base/err.h"
 #include "core/base/lens.h"
 #include "core/base/pool.h"
+#include "core/base/team.h"
 
 #include <stdatomic.h>
 #include <stdbool.h>
@@ -233,6 +234,7 @@ struct correspondence {
 struct run {
     const struct kernels *k;
     struct pool *pool;        // NULL = single thread
+    struct team *team;        // NULL = alone: other processes that work on this job
     struct arena *keep, *tmp; // results; scratch, reset to its mark before the function returns
     atomic_bool *cancel;      // NULL = never; checked at least every 0.5 s, then ERR_CANCELLED
     progress_fn *progress;    // NULL = none
