@@ -1,7 +1,7 @@
 /* team_local.h - a team of threads of one process: each rank is a thread with its own struct team.
  * team_local_run starts them, and waits. */
-#ifndef TESTS_TEAM_LOCAL_H
-#define TESTS_TEAM_LOCAL_H
+#ifndef BASE_TEAM_LOCAL_H
+#define BASE_TEAM_LOCAL_H
 
 #include "core/base/team.h"
 
