@@ -19,7 +19,7 @@ DEPS := gcc g++ libc6-dev make pkg-config libspng-dev libturbojpeg0-dev libexif-
 	libtiff-dev libheif-dev libopenexr-dev libcjson-dev libinih-dev libzip-dev libraw-dev \
 	libgpiod-dev libcamera-dev libmicrohttpd-dev libmosquitto-dev libcurl4-openssl-dev \
 	libqrencode-dev libsystemd-dev zlib1g-dev libzstd-dev libapriltag-dev dpkg-dev
-DEPS_CHECK := $(DEPS) libcmocka-dev mosquitto openssl iproute2 clang libclang-rt-dev lld cppcheck \
+DEPS_CHECK := $(DEPS) libcmocka-dev libopenmpi-dev openmpi-bin libmpich-dev mpich mosquitto openssl iproute2 clang libclang-rt-dev lld cppcheck \
 	chromium systemd lintian ffmpeg gcc-aarch64-linux-gnu libc6-dev-arm64-cross qemu-user
 DEPS_CROSS := $(DEPS) gcc-aarch64-linux-gnu g++-aarch64-linux-gnu
 DEPS_KERNEL := $(DEPS) bc bison dmsetup e2fsprogs flex kmod libcamera-ipa udev xz-utils
@@ -82,7 +82,7 @@ isa = $(ISA_$(lastword $(subst _, ,$(notdir $*))))
 OTHER_ISA := $(if $(filter x86_64,$(ARCH)),,%_sse41.c %_avx2.c %_avx512.c %_avx512vnni.c %_amx.c)
 OTHER_ISA += $(if $(filter aarch64,$(ARCH)),,%_neon.c %_neondot.c %_i8mm.c)
 CORE := $(filter-out $(OTHER_ISA),$(wildcard core/*/*.c))
-DRIVERS := $(wildcard drivers/*/*.c)
+DRIVERS := $(filter-out drivers/net/mpi_shim.c,$(wildcard drivers/*/*.c))
 SIM := $(wildcard sim/*/*.c)
 MAINS := firmware/cmd/hdrig.c firmware/daemon/hdrigd.c
 FIRMWARE := $(filter-out $(MAINS),$(wildcard firmware/*/*.c))
@@ -116,6 +116,10 @@ programs = $(1:%.c=$(B)/%)
 LIBS := $(B)/libfirmware.a $(B)/libsim.a $(B)/libdrivers.a $(B)/libcore.a
 TOOLS := $(addprefix $(B)/,$(basename $(notdir $(MAINS))))
 MODULE := $(B)/hdrig-libcamera.so
+# Those of MPI, where one of its libraries is.
+MPI_SHIM := drivers/net/mpi_shim.c
+MPI_MODULES := $(foreach m,openmpi:ompi-c mpich:mpich,$(if $(CROSS),,$(shell pkg-config --exists \
+	$(lastword $(subst :, ,$m)) && echo $(B)/hdrig-$(firstword $(subst :, ,$m)).so)))
 MODULE_NEEDS := drivers/device/libcamera_shim.cpp $(wildcard drivers/device/libcamera_*.h*) \
 	drivers/device/camera.h drivers/device/focus.h Makefile
 
@@ -126,7 +130,7 @@ MODULE_NEEDS := drivers/device/libcamera_shim.cpp $(wildcard drivers/device/libc
 .DELETE_ON_ERROR:
 .SECONDARY:
 
-all: deps $(LIBS) $(TOOLS) $(MODULE) \
+all: deps $(LIBS) $(TOOLS) $(MODULE) $(MPI_MODULES) \
 	$(if $(filter $(shell uname -m),$(V)),$(TOOLS:$(B)/%=build/%)) build/small.hdrig
 
 # build/hdrig is the plain native one.
@@ -199,6 +203,14 @@ $(B)/hdrig-libcamera.so: $(MODULE_NEEDS) | build/deps
 	$(CXX) $(CXXFLAGS_MODULE) -Wconversion -o $@ $< \
 		$(patsubst -I%,-isystem %,$(shell $(PKG_CONFIG) --cflags --libs libcamera))
 
+# What drivers/net/ranks.c loads.
+$(B)/hdrig-openmpi.so: MPI := ompi-c
+$(B)/hdrig-mpich.so: MPI := mpich
+$(B)/hdrig-openmpi.so $(B)/hdrig-mpich.so: $(MPI_SHIM) $(MPI_SHIM:.c=.h) core/base/team.h Makefile
+	@mkdir -p $(@D)
+	$(CC) -std=c11 -D_GNU_SOURCE -I. -g -O2 -fPIC -shared -fvisibility=hidden -pthread $(WARN) \
+	    $(SANFLAGS) -o $@ $< $(patsubst -I%,-isystem %,$(shell $(PKG_CONFIG) --cflags --libs $(MPI)))
+
 LIB = $(DESTDIR)$(PREFIX)/lib
 SHARE = $(DESTDIR)$(PREFIX)/share/hdrig
 ETC = $(DESTDIR)/etc/hdrig
@@ -218,6 +230,7 @@ install: all
 	install -d $(DESTDIR)$(PREFIX)/bin $(DESTDIR)$(PREFIX)/share/hdrig $(DESTDIR)/etc/hdrig
 	install -m 755 $(TOOLS) $(DESTDIR)$(PREFIX)/bin
 	install -D -m 644 $(MODULE) $(LIB)/hdrig/$(notdir $(MODULE))
+	$(if $(MPI_MODULES),install -m 644 $(MPI_MODULES) $(LIB)/hdrig)
 	install -m 644 build/small.hdrig $(DESTDIR)$(PREFIX)/share/hdrig
 	@$(call put_settings,board/common/defaults.conf)
 	$(if $(BOARD),@$(call put_settings,board/$(BOARD)/board.conf))
@@ -237,7 +250,7 @@ uninstall:
 	    elif [ -e $(ETC)/$$f ]; then echo "$(ETC)/$$f was changed and stays"; fi; \
 	    if cmp -s $(ETC)/$$f.new $(SHARE)/$$f; then rm $(ETC)/$$f.new; \
 	    elif [ -e $(ETC)/$$f.new ]; then echo "$(ETC)/$$f.new was changed and stays"; fi; done
-	rm -f $(addprefix $(DESTDIR)$(PREFIX)/bin/,hdrig hdrigd) $(LIB)/hdrig/hdrig-libcamera.so \
+	rm -f $(addprefix $(DESTDIR)$(PREFIX)/bin/,hdrig hdrigd) $(LIB)/hdrig/hdrig-*.so \
 	    $(addprefix $(SHARE)/,small.hdrig defaults.conf board.conf) \
 	    $(LIB)/udev/rules.d/60-hdrig.rules $(LIB)/sysusers.d/hdrig.conf \
 	    $(LIB)/systemd/system/hdrigd.service

@@ -40,6 +40,17 @@ err_t team_gather(struct team *t, void *data, size_t item, int n)
     return e ? e : team_wait(t);
 }
 
+err_t team_collect(struct team *t, void *data, size_t item)
+{
+    size_t at[TEAM_MAX + 1];
+    if (!t)
+        return OK;
+    for (int i = 0; i <= t->size; i++)
+        at[i] = item * (size_t)i;
+    err_t e = team_begin(t, data, at);
+    return e ? e : team_wait(t);
+}
+
 err_t team_copy(struct team *t, void *data, size_t bytes)
 {
     size_t at[TEAM_MAX + 1];

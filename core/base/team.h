@@ -38,6 +38,7 @@ struct team {
     const struct team_ops *ops;
     void *ctx;
     uint64_t sent, received; // bytes, of this rank
+    double waited_s;         // for the others, by the transport
 };
 
 static inline int team_size(const struct team *t)
@@ -64,6 +65,9 @@ MUST_USE err_t team_wait(struct team *t);
 
 /* n items of `item` bytes, dealt by team_first: complete on all ranks. */
 MUST_USE err_t team_gather(struct team *t, void *data, size_t item, int n);
+
+/* data: (size) items of `item` bytes, one of each rank: complete on all ranks. */
+MUST_USE err_t team_collect(struct team *t, void *data, size_t item);
 
 /* data of rank 0 on all ranks. */
 MUST_USE err_t team_copy(struct team *t, void *data, size_t bytes);

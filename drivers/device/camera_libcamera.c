@@ -1,19 +1,16 @@
-/* Cameras of libcamera: finds the module, checks that it was built from the same structs, and
- * forwards every call. The module stays loaded: threads of libcamera may run in it. */
+/* Cameras of libcamera: checks that the module was built from the same structs, and forwards every
+ * call. */
 #include "drivers/device/camera.h"
 
 #include "drivers/device/focus.h"
 #include "drivers/device/libcamera_shim.h"
+#include "drivers/device/module.h"
 #include "drivers/device/uri.h"
-#include "drivers/format/file.h"
 
-#include <dlfcn.h>
 #include <stdlib.h>
 #include <string.h>
-#include <unistd.h>
 
 static const char scheme[] = "libcamera:";
-static const char module[] = "hdrig-libcamera.so";
 
 #define LENS_MOST 1000.0 // 1/m
 
@@ -50,47 +47,25 @@ static err_t parse_uri(const char *uri, struct options *o)
                      &(struct uri_table){keys, sizeof keys / sizeof keys[0], o}, 1);
 }
 
-/* Beside the program, or where `make install` puts it. */
-static err_t find_module(char path[FILE_PATH_CAP])
-{
-    static const char *const folders[] = {"", "../lib/hdrig/"};
-    char self[FILE_PATH_CAP];
-    ssize_t n = readlink("/proc/self/exe", self, sizeof self - 1);
-    while (n > 0 && self[n - 1] != '/')
-        n--;
-    self[n > 0 ? n : 0] = '\0';
-    for (int i = 0; i < 2; i++) {
-        int len = snprintf(path, FILE_PATH_CAP, "%s%s%s", self, folders[i], module);
-        if (len < FILE_PATH_CAP && file_is_regular(path))
-            return OK;
-    }
-    return err_fail(ERR_UNSUPPORTED,
-                    "libcamera: there is no %s in %s or %s%s; it is built where the package "
-                    "libcamera-dev is",
-                    module, self, self, folders[1]);
-}
-
 static err_t load_module(const struct options *o, const struct libcamera_shim **out)
 {
-    char path[FILE_PATH_CAP];
-    memcpy(path, o->module, sizeof o->module);
-    err_t e = path[0] ? OK : find_module(path);
+    static const struct module module = {
+        .what = "libcamera",
+        .file = "hdrig-libcamera.so",
+        .package = "libcamera-dev",
+        .needs = "the package of that library (libcamera0.0.3 on Debian 12, and libcamera-ipa)",
+        .table = LIBCAMERA_SHIM_TABLE};
+    const void *table;
+    setenv("LIBCAMERA_LOG_LEVELS", "*:WARN", 0); // it would print a greeting to stderr
+    err_t e = module_load(&module, o->module, &table);
     if (e)
         return e;
-    setenv("LIBCAMERA_LOG_LEVELS", "*:WARN", 0); // it would print a greeting to stderr
-    void *lib = dlopen(path, RTLD_NOW | RTLD_LOCAL);
-    if (!lib)
-        return err_fail(ERR_UNSUPPORTED,
-                        "libcamera: %s; without the package of that library (libcamera0.0.3 on "
-                        "Debian 12, and libcamera-ipa) there are no cameras of libcamera",
-                        dlerror());
-    const struct libcamera_shim *shim = dlsym(lib, LIBCAMERA_SHIM_TABLE);
-    if (!shim || shim->stamp != LIBCAMERA_SHIM_STAMP)
-        return err_fail(ERR_UNSUPPORTED,
-                        "libcamera: %s was built for another version of this program (%x)", path,
-                        shim ? shim->stamp : 0);
-    *out = shim;
-    return OK;
+    *out = table;
+    if ((*out)->stamp != LIBCAMERA_SHIM_STAMP)
+        e = err_fail(ERR_UNSUPPORTED,
+                     "libcamera: %s was built for another version of this program (%x)",
+                     o->module[0] ? o->module : module.file, (*out)->stamp);
+    return e;
 }
 
 /* The sentence of an error is in the module. */

@@ -253,6 +253,37 @@ err_t cmd_shipped(const struct cmd_model *m, const struct capture *c, struct net
     return network_open(path, NULL, 0, own);
 }
 
+/* A rig's file by the settings: it is named there. */
+static err_t join_rig_file(struct teamwork *w, struct config *cfg)
+{
+    const char *path = cfg->rig_file;
+    err_t e = teamwork_path(w, &path);
+    if (e || path == cfg->rig_file)
+        return e;
+    if (strlen(path) >= sizeof cfg->rig_file)
+        return err_fail(ERR_LIMIT, "%s: longer than %zu bytes", path, sizeof cfg->rig_file - 1);
+    memcpy(cfg->rig_file, path, strlen(path) + 1);
+    return OK;
+}
+
+err_t cmd_join(struct teamwork *w, const char *name, struct config *cfg,
+               struct imageset_request *set, struct cmd_model *m, struct engine *en)
+{
+    const int threads = cfg->threads, memory = cfg->max_memory_mb;
+    err_t e = teamwork_open(w, name, threads, en);
+    if (!e)
+        e = team_copy(en->run.team, cfg, sizeof *cfg);
+    cfg->threads = threads;
+    cfg->max_memory_mb = memory;
+    if (!e)
+        e = teamwork_path(w, &set->exposures);
+    if (!e)
+        e = teamwork_path(w, &set->rig);
+    if (!e)
+        e = teamwork_path(w, &m->path);
+    return e ? e : join_rig_file(w, cfg);
+}
+
 void cmd_imageset(const struct config *cfg, const struct network *network,
                   struct imageset_request *rq)
 {

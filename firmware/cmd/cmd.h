@@ -4,6 +4,7 @@
 #define CMD_CMD_H
 
 #include "firmware/base/config.h"
+#include "firmware/base/teamwork.h"
 #include "firmware/recon/job.h"
 
 #include "drivers/format/imageset.h"
@@ -119,6 +120,13 @@ MUST_USE err_t cmd_network(const struct cmd_model *m, const struct config *cfg, 
  * own, err: as cmd_network. */
 MUST_USE err_t cmd_shipped(const struct cmd_model *m, const struct capture *c, struct network *own,
                            const struct network **out);
+
+/* teamwork_open, with the settings of the first rank but its threads and memory, and the files of
+ * the request where they are needed.
+ * own:  teamwork_close, engine_close.
+ * err:  those of teamwork_open and teamwork_path. */
+MUST_USE err_t cmd_join(struct teamwork *w, const char *name, struct config *cfg,
+                        struct imageset_request *set, struct cmd_model *m, struct engine *en);
 
 /* Set the request's fields that follow from rig and network: rig.file if it is the take of a rig,
  * "none" as rig, and exposures that may be missing. */

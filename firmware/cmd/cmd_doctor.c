@@ -6,6 +6,7 @@
 #include "drivers/device/camera.h"
 #include "drivers/format/file.h"
 #include "drivers/format/modelfile.h"
+#include "drivers/net/ranks.h"
 
 #include <glob.h>
 #include <link.h>
@@ -81,6 +82,16 @@ static void print_libcamera(void)
     free(st);
 }
 
+static void print_ranks(void)
+{
+    for (int i = 0; i < RANKS_LIBRARIES; i++) {
+        const char *what;
+        const bool can = ranks_probe(i, &what) == OK;
+        printf("ranks          %s%s\n", can ? what : err_text(),
+               can ? ": mpirun can start several" : "");
+    }
+}
+
 static const char *kind_of(const struct net_dims *d)
 {
     return !d->gauss        ? "VGGT: cameras and depth"
@@ -143,6 +154,7 @@ int cmd_doctor_run(int argc, char **argv)
         print_nodes("camera", "/dev/video*", "video");
         print_nodes("gpio", "/dev/gpiochip*", "hdrig");
         print_libcamera();
+        print_ranks();
         dl_iterate_phdr(print_library, NULL);
     }
     if (!e && model)

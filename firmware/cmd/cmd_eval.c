@@ -29,6 +29,7 @@ struct request {
 };
 
 struct state {
+    struct teamwork team;
     struct engine engine;
     struct network network;
     struct imageset train, test;
@@ -459,12 +460,20 @@ static err_t read_scene(struct state *st, struct request *rq)
 
 static err_t evaluate_scene(struct state *st, struct request *rq)
 {
+    err_t e = cmd_join(&st->team, "eval", &rq->cfg, &rq->set, &rq->model, &st->engine);
+    const bool measures = teamwork_speaks(&st->team);
+    if (!measures)
+        rq->out = rq->json = NULL;
     struct outdir *out = rq->out ? &st->out : NULL;
-    err_t e = cmd_json_open(rq->json, &st->json);
     if (!e)
-        e = engine_open(&st->engine, rq->cfg.threads);
+        e = cmd_json_open(rq->json, &st->json);
+    if (!e)
+        e = teamwork_path(&st->team, &rq->set.images);
     if (!e)
         e = rq->scene ? read_scene(st, rq) : reconstruct_inputs(st, rq);
+    st->engine.run.team = NULL; // the first rank measures alone
+    if (!e && !measures)
+        return OK;
     if (!e)
         e = evaluate_run(&st->engine.run, &st->job, &st->test, out, &st->figures);
     cmd_report_unread(&st->train, &st->job);
@@ -492,6 +501,16 @@ static err_t read_numbers(struct request *rq)
     for (int i = 0; i < list.n; i++)
         rq->set.exposure_set |= UINT32_C(1) << (list.v[i] - 1);
     return e;
+}
+
+static void close_files(struct state *st)
+{
+    cmd_json_discard(&st->json);
+    outdir_close(&st->out);
+    imageset_free(&st->train);
+    imageset_free(&st->test);
+    imageset_free(&st->true_train);
+    imageset_free(&st->true_test);
 }
 
 int cmd_eval_run(int argc, char **argv)
@@ -544,13 +563,11 @@ int cmd_eval_run(int argc, char **argv)
         return cmd_misuse(&usage, err_text());
     const char *const inputs[] = {rq.set.images, rq.scene, rq.set.rig, rq.model.path};
     memcpy(rq.rules.inputs, inputs, sizeof inputs);
-    code = cmd_finish_job(usage.name, evaluate_scene(&st, &rq), &st.job, rq.strict);
-    cmd_json_discard(&st.json);
-    outdir_close(&st.out);
-    imageset_free(&st.train);
-    imageset_free(&st.test);
-    imageset_free(&st.true_train);
-    imageset_free(&st.true_test);
+    err_t e = evaluate_scene(&st, &rq);
+    const bool speaks = teamwork_speaks(&st.team);
+    code = speaks ? cmd_finish_job(usage.name, e, &st.job, rq.strict) : CMD_OK;
+    close_files(&st);
+    teamwork_close(&st.team, e, speaks ? code : CMD_FAILURE);
     engine_close(&st.engine);
     network_close(&st.network);
     return code;

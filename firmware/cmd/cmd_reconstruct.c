@@ -1,5 +1,4 @@
 /* hdrig reconstruct: photographs to an HDR scene. */
-#include "firmware/base/engine.h"
 #include "firmware/cmd/cmd.h"
 #include "firmware/recon/dump.h"
 #include "firmware/result/publish.h"
@@ -25,6 +24,7 @@ struct request {
 };
 
 struct state {
+    struct teamwork team;
     struct engine engine;
     struct network network;
     struct imageset set;
@@ -181,8 +181,6 @@ static err_t prepare_job(struct request *rq, struct state *st, struct job_config
         log_warn("exposures are not known for all pictures: none is used");
     if (!e)
         dump_exposures(rq->dump_exposures, &st->set.capture, job->dump_log2t);
-    if (!e)
-        e = engine_open(&st->engine, rq->cfg.threads);
     if (!e && rq->cfg.size == CONFIG_SIZE_AUTO)
         job->size = num_max(largest_size(rq, st, job), num_min(job->size, recipe_work(job)));
     if (!e)
@@ -190,33 +188,50 @@ static err_t prepare_job(struct request *rq, struct state *st, struct job_config
     return e ? e : reserve_memory(rq, st, job, &need);
 }
 
-static err_t make_scene(struct request *rq, struct state *st)
+/* All places for results, before the work. */
+static err_t open_results(struct request *rq, struct state *st, const struct job_config *job)
 {
-    const struct run *r = &st->engine.run;
-    struct job_config job;
     const char *const inputs[] = {rq->set.exposures, rq->set.rig, rq->model.path};
     enum { FILES = sizeof inputs / sizeof inputs[0] };
     _Static_assert(FILES + CMD_TEXTS_MAX <= OUTDIR_INPUTS, "every input is protected");
     memcpy(rq->rules.inputs, inputs, sizeof inputs);
     memcpy(rq->rules.inputs + FILES, rq->images, CMD_TEXTS_MAX * sizeof rq->images[0]);
-    err_t e = prepare_job(rq, st, &job);
+    err_t e = outdir_open(rq->out, &rq->rules, &st->out);
     if (!e)
-        e = outdir_open(rq->out, &rq->rules, &st->out);
-    if (!e)
-        e = publish_check(&st->set.capture, &job, &st->out);
+        e = publish_check(&st->set.capture, job, &st->out);
     if (!e)
         e = cmd_json_open(rq->json, &st->json);
+    return e ? e : begin_dump(rq, st);
+}
+
+static err_t write_results(struct request *rq, struct state *st)
+{
+    err_t e = end_dump(rq, st);
     if (!e)
-        e = begin_dump(rq, st);
-    if (!e)
-        e = job_run(r, &st->set.capture, &job, &st->result);
-    cmd_report_unread(&st->set, &st->result);
-    if (!e)
-        e = end_dump(rq, st);
-    if (!e)
-        e = publish_run(r, &st->result, &st->out);
+        e = publish_run(&st->engine.run, &st->result, &st->out);
     progress_end(&st->engine.progress);
     return e ? e : print_result(rq, st);
+}
+
+static err_t make_scene(struct request *rq, struct state *st)
+{
+    struct job_config job;
+    err_t e = cmd_join(&st->team, "reconstruct", &rq->cfg, &rq->set, &rq->model, &st->engine);
+    const bool writes = teamwork_speaks(&st->team);
+    for (int i = 0; rq->images[i] && !e; i++)
+        e = teamwork_path(&st->team, &rq->images[i]);
+    rq->set.images = rq->images[0];
+    rq->set.more = rq->images + 1;
+    if (!e)
+        e = prepare_job(rq, st, &job);
+    if (!e && writes)
+        e = open_results(rq, st, &job);
+    if (!e)
+        e = job_run(&st->engine.run, &st->set.capture, &job, &st->result);
+    cmd_report_unread(&st->set, &st->result);
+    if (!e && writes)
+        e = write_results(rq, st);
+    return e;
 }
 
 /* NULL if the options fit together. */
@@ -274,15 +289,16 @@ int cmd_reconstruct_run(int argc, char **argv)
         return code;
     if (misuse_reason(&rq))
         return cmd_misuse(&usage, misuse_reason(&rq));
-    rq.set.images = rq.images[0];
-    rq.set.more = rq.images + 1;
-    code = cmd_finish_job(usage.name, make_scene(&rq, &st), &st.result, rq.strict);
+    err_t e = make_scene(&rq, &st);
+    const bool speaks = teamwork_speaks(&st.team);
+    code = speaks ? cmd_finish_job(usage.name, e, &st.result, rq.strict) : CMD_OK;
     if (npy_close(&st.tensors) != OK)
         code = CMD_FAILURE; // after another error, which was printed
     cmd_json_discard(&st.json);
     outdir_close(&st.dump);
     outdir_close(&st.out);
     imageset_free(&st.set);
+    teamwork_close(&st.team, e, speaks ? code : CMD_FAILURE);
     engine_close(&st.engine);
     network_close(&st.network);
     return code;

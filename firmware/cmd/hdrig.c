@@ -2,6 +2,8 @@
 #include "firmware/base/engine.h"
 #include "firmware/cmd/cmd.h"
 
+#include "drivers/net/ranks.h"
+
 #include <signal.h>
 #include <string.h>
 #include <unistd.h>
@@ -32,6 +34,11 @@ static const struct {
 };
 
 enum { N_COMMANDS = sizeof commands / sizeof commands[0] };
+
+static bool works_with_others(int (*run)(int argc, char **argv))
+{
+    return run == cmd_reconstruct_run || run == cmd_eval_run;
+}
 
 static void print_help(FILE *f)
 {
@@ -71,9 +78,15 @@ int main(int argc, char **argv)
         return CMD_OK;
     }
     catch_signals();
-    for (int i = 0; i < N_COMMANDS; i++)
-        if (strcmp(commands[i].name, name) == 0)
-            return commands[i].run(argc - 1, argv + 1);
+    for (int i = 0; i < N_COMMANDS; i++) {
+        if (strcmp(commands[i].name, name) != 0)
+            continue;
+        if (ranks_launched() > 1 && !works_with_others(commands[i].run)) {
+            fprintf(stderr, "hdrig %s: does not run on several ranks\n", name);
+            return CMD_USAGE;
+        }
+        return commands[i].run(argc - 1, argv + 1);
+    }
     if (*name)
         fprintf(stderr, "hdrig: unknown command \"%s\"\n", name);
     print_help(stderr);

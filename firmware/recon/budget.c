@@ -37,6 +37,11 @@ static double time_to_refine(const struct speed *s, const struct capture *c,
 }
 
 /* Steps of which size are expected to fit. */
+struct choice {
+    int size;       // px
+    double seconds; // for refinement
+};
+
 static int expect_steps(const struct speed *s, const struct capture *c, const struct recipe *recipe,
                         int splats)
 {
@@ -47,11 +52,11 @@ static int expect_steps(const struct speed *s, const struct capture *c, const st
     return pace_fit(&p, 0, recipe->refinement.steps, time_to_refine(s, c, recipe));
 }
 
-void budget_choose(const struct capture *c, const struct job_config *cfg, struct recipe *recipe,
-                   struct job_result *done)
+err_t budget_choose(const struct run *r, const struct capture *c, const struct job_config *cfg,
+                    struct recipe *recipe, struct job_result *done)
 {
     if (!(cfg->budget_s > 0))
-        return;
+        return OK;
     struct recipe best = *recipe;
     const struct speed s = {.left = cfg->budget_s - (engine_seconds() - done->start_s),
                             .before = done->seconds[JOB_PREPROCESS],
@@ -60,10 +65,15 @@ void budget_choose(const struct capture *c, const struct job_config *cfg, struct
     while (!cfg->size_fixed && s.unit > 0 && best.size > best.work &&
            expect_steps(&s, c, &best, done->scene.g.n) < wanted)
         best = recipe_with_size(recipe, c, cfg, num_max(best.work, best.size * 7 / 8));
-    *recipe = best;
     /* above 0: no time is not the same as any */
-    recipe->refinement.seconds = fmax(time_to_refine(&s, c, recipe), 1e-3);
+    best.refinement.seconds = fmax(time_to_refine(&s, c, &best), 1e-3);
+    struct choice choice = {best.size, best.refinement.seconds};
+    err_t e = team_copy(r->team, &choice, sizeof choice); // the clock of the first rank counts
+    if (choice.size != recipe->size)
+        *recipe = recipe_with_size(recipe, c, cfg, choice.size);
+    recipe->refinement.seconds = choice.seconds;
     snprintf(done->budget, sizeof done->budget,
              "%.0f s in all: pictures of %d px, %.0f s for refinement", cfg->budget_s, recipe->size,
              recipe->refinement.seconds);
+    return e;
 }

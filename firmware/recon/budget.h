@@ -9,9 +9,11 @@
  * recipe's, for which BUDGET_STEPS steps of refinement are expected to fit, not smaller than the
  * views of depth; with cfg->size_fixed, the recipe's. The speed of the machine is that of depth.
  * out:  *recipe, with the seconds of refinement, as many steps as fit into which are done;
- *       *sentence about it in done->budget. */
+ *       *sentence about it in done->budget.
+ * err:  those of team_copy: the first rank of a team chooses. */
 enum { BUDGET_STEPS = 300 };
-void budget_choose(const struct capture *c, const struct job_config *cfg, struct recipe *recipe,
-                   struct job_result *done);
+MUST_USE err_t budget_choose(const struct run *r, const struct capture *c,
+                             const struct job_config *cfg, struct recipe *recipe,
+                             struct job_result *done);
 
 #endif

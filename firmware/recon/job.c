@@ -1,6 +1,7 @@
 #include "firmware/recon/job.h"
 
 #include "firmware/base/engine.h"
+#include "firmware/recon/agree.h"
 #include "firmware/recon/budget.h"
 #include "firmware/recon/enlarge.h"
 #include "firmware/recon/figures.h"
@@ -126,6 +127,16 @@ static err_t refine_scene(const struct run *r, const struct start *s, struct job
     cfg.tone_known = out->views.srgb && !own;
     err_t e = refine_run(r, &out->views, &cfg, &out->scene, &out->refine);
     job_result_lap(out, JOB_REFINE);
+    return e ? e : agree_scene(r, &out->scene, "after refinement");
+}
+
+static err_t choose_within_budget(const struct run *r, const struct start *s, struct recipe *recipe,
+                                  struct job_result *out)
+{
+    err_t e = budget_choose(r, s->capture, s->cfg, recipe, out);
+    if (!e)
+        e = agree_scene(r, &out->scene, "before refinement");
+    recipe_tell_size(recipe, s->capture, out->sizing, sizeof out->sizing);
     return e;
 }
 
@@ -137,9 +148,10 @@ static err_t find_confidence(const struct run *r, struct job_result *out)
     return e;
 }
 
-static void begin_result(const struct job_config *cfg, struct job_result *out)
+static void begin_result(const struct run *r, const struct job_config *cfg, struct job_result *out)
 {
     memset(out, 0, sizeof *out);
+    out->team = r->team;
     out->input_psnr = NAN;
     out->start_s = out->lap_s = engine_seconds();
     if (cfg->network)
@@ -160,9 +172,11 @@ err_t job_run(const struct run *r, const struct capture *c, const struct job_con
 {
     struct recipe recipe = recipe_choose(c, cfg, r->tap != NULL);
     struct start start = {.run = r, .capture = c, .cfg = cfg, .recipe = &recipe, .out = out};
-    begin_result(cfg, out);
+    begin_result(r, cfg, out);
     out->capture = c;
     err_t e = read_photographs(r, c, &start, out);
+    if (!e)
+        e = agree_views(r, &out->views);
     if (!e)
         e = find_response(r, &recipe, out);
     if (!e)
@@ -182,8 +196,7 @@ err_t job_run(const struct run *r, const struct capture *c, const struct job_con
     if (!e)
         e = start_gaussians(&start);
     if (!e)
-        budget_choose(c, cfg, &recipe, out);
-    recipe_tell_size(&recipe, c, out->sizing, sizeof out->sizing);
+        e = choose_within_budget(r, &start, &recipe, out);
     if (!e)
         e = enlarge_views(r, c, &start, out);
     if (!e && recipe.refine)
@@ -344,6 +357,20 @@ static void report_seconds(const struct job_result *j, struct report *rep)
     report_close(rep);
 }
 
+/* Of the first rank, which writes the report. */
+static void report_team(const struct job_result *j, struct report *rep)
+{
+    if (!j->team)
+        return;
+    report_int(rep, "ranks", j->team->size);
+    report_number(rep, "seconds_waited", j->team->waited_s);
+    report_open(rep, "bytes_sent", '{');
+    for (int i = 0; i < JOB_STAGES; i++)
+        if (j->sent[i] > 0)
+            report_number(rep, stage_names[i], (double)j->sent[i]);
+    report_close(rep);
+}
+
 /* Decisions and error of refinement, on squares of the input views that it did not learn from. */
 static void report_making(const struct job_result *j, struct report *rep)
 {
@@ -403,6 +430,7 @@ void job_report(const struct job_result *j, int threads, struct report *rep)
     report_confidence(j, rep);
     figures_report(j, rep);
     report_seconds(j, rep);
+    report_team(j, rep);
     report_number(rep, "peak_rss_mb", j->peak_rss_mb);
     report_number(rep, "keep_peak_mb", (double)j->keep_peak * 1e-6);
     report_number(rep, "tmp_peak_mb", (double)j->tmp_peak * 1e-6);

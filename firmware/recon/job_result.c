@@ -10,6 +10,8 @@ void job_result_lap(struct job_result *j, enum job_stage stage)
     double now = engine_seconds();
     j->seconds[stage] += now - j->lap_s;
     j->lap_s = now;
+    j->sent[stage] += j->team ? j->team->sent - j->lap_sent : 0;
+    j->lap_sent = j->team ? j->team->sent : 0;
     j->peak_rss_mb = engine_peak_rss_mb();
 }
 

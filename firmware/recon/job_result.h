@@ -79,6 +79,8 @@ struct job_result {
     struct job_cameras cameras;
     double start_s, lap_s; // by the clock
     double seconds[JOB_STAGES];
+    const struct team *team;             // NULL: one process did all
+    uint64_t sent[JOB_STAGES], lap_sent; // bytes by this rank; until the last lap
     double input_psnr;          // dB, mean over the input views, NAN until publish_run
     float *input_db;            // (views.n + n_more) dB of each, in keep, NAN until then, or NULL
     bool measured_only;         // the scene was read from a file and only measured

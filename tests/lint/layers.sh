@@ -35,6 +35,7 @@ BEGIN {
     wrapper["^microhttpd\\.h$"] = "^firmware/daemon/http\\.c$"
     wrapper["^(mosquitto|mqtt_protocol)\\.h$"] = "^drivers/net/mqtt\\.c$"
     wrapper["^qrencode\\.h$"] = "^drivers/format/qr\\.c$"
+    wrapper["^mpi\\.h$"] = "^drivers/net/mpi_shim\\.c$"
     wrapper["^curl/"] = "^drivers/net/fetch\\.c$"
     wrapper["^systemd/"] = "^firmware/daemon/daemon\\.c$"
     wrapper["^ini\\.h$"] = "^firmware/base/config\\.c$"

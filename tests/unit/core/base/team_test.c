@@ -39,7 +39,7 @@ static err_t move_everything(void *ctx, struct team *t)
     const int size = team_size(t), rank = team_rank(t);
     uint16_t item[ITEMS], own = rank == 0 ? 77 : 0, out[TEAM_MAX * 2] = {0}, in[TEAM_MAX * 2] = {0};
     size_t at[TEAM_MAX + 1];
-    int wrong = 0;
+    int wrong = 0, each[TEAM_MAX] = {0};
     (void)ctx;
     memset(item, 0, sizeof item);
     for (int i = team_first(t, ITEMS, rank); i < team_first(t, ITEMS, rank + 1); i++)
@@ -47,6 +47,9 @@ static err_t move_everything(void *ctx, struct team *t)
     err_t e = team_gather(t, item, sizeof *item, ITEMS);
     if (!e)
         e = team_copy(t, &own, sizeof own);
+    each[rank] = rank + 5;
+    if (!e)
+        e = team_collect(t, each, sizeof *each);
     for (int i = 0; i < 2 * size; i++)
         out[i] = (uint16_t)(100 * rank + i);
     for (int i = 0; i <= size; i++)
@@ -55,6 +58,8 @@ static err_t move_everything(void *ctx, struct team *t)
         e = team_exchange(t, out, at, in, at);
     for (int i = 0; i < ITEMS; i++)
         wrong += item[i] != 3 * i + 1;
+    for (int i = 0; i < size; i++)
+        wrong += each[i] != i + 5;
     for (int i = 0; i < 2 * size; i++)
         wrong += in[i] != 100 * (i / 2) + 2 * rank + i % 2;
     if (!e && (wrong || own != 77))
