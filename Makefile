@@ -18,9 +18,11 @@
 DEPS := gcc g++ libc6-dev make pkg-config libspng-dev libturbojpeg0-dev libexif-dev \
 	libtiff-dev libheif-dev libopenexr-dev libcjson-dev libinih-dev libzip-dev libraw-dev \
 	libgpiod-dev libcamera-dev libmicrohttpd-dev libmosquitto-dev libcurl4-openssl-dev \
-	libqrencode-dev libsystemd-dev zlib1g-dev libzstd-dev libapriltag-dev dpkg-dev
-DEPS_CHECK := $(DEPS) libcmocka-dev libopenmpi-dev openmpi-bin libmpich-dev mpich mosquitto openssl iproute2 clang libclang-rt-dev lld cppcheck \
-	chromium systemd lintian ffmpeg gcc-aarch64-linux-gnu libc6-dev-arm64-cross qemu-user
+	libqrencode-dev libsystemd-dev zlib1g-dev libzstd-dev libapriltag-dev libopenmpi-dev \
+	dpkg-dev
+DEPS_CHECK := $(DEPS) libcmocka-dev openmpi-bin libmpich-dev mpich mosquitto openssl iproute2 \
+	clang libclang-rt-dev lld cppcheck chromium systemd lintian ffmpeg gcc-aarch64-linux-gnu \
+	libc6-dev-arm64-cross qemu-user
 DEPS_CROSS := $(DEPS) gcc-aarch64-linux-gnu g++-aarch64-linux-gnu
 DEPS_KERNEL := $(DEPS) bc bison dmsetup e2fsprogs flex kmod libcamera-ipa udev xz-utils
 DEPS_QEMU := cpio linux-headers-amd64 qemu-system-x86
@@ -116,10 +118,10 @@ programs = $(1:%.c=$(B)/%)
 LIBS := $(B)/libfirmware.a $(B)/libsim.a $(B)/libdrivers.a $(B)/libcore.a
 TOOLS := $(addprefix $(B)/,$(basename $(notdir $(MAINS))))
 MODULE := $(B)/hdrig-libcamera.so
-# Those of MPI, where one of its libraries is.
+# Those of MPI: of MPICH where it is.
 MPI_SHIM := drivers/net/mpi_shim.c
-MPI_MODULES := $(foreach m,openmpi:ompi-c mpich:mpich,$(if $(CROSS),,$(shell pkg-config --exists \
-	$(lastword $(subst :, ,$m)) && echo $(B)/hdrig-$(firstword $(subst :, ,$m)).so)))
+MPI_MODULES := $(B)/hdrig-openmpi.so \
+	$(if $(CROSS),,$(if $(shell pkg-config --exists mpich && echo yes),$(B)/hdrig-mpich.so))
 MODULE_NEEDS := drivers/device/libcamera_shim.cpp $(wildcard drivers/device/libcamera_*.h*) \
 	drivers/device/camera.h drivers/device/focus.h Makefile
 
@@ -154,9 +156,10 @@ $(B)/%.o: %.c Makefile | build/deps
 
 # Core needs no library, so its tests build without these packages.
 ifneq ($(CROSS),)
-$(call objects,$(DRIVERS) $(FIRMWARE) $(MAINS) $(SIM)) $(TOOLS) $(MODULE): | $(SYSROOT)/packages
-$(call objects,$(DRIVERS) $(FIRMWARE) $(MAINS) $(SIM)) $(TOOLS) $(MODULE): \
-	private ROOTED = --sysroot=$(SYSROOT)
+IN_SYSROOT := $(call objects,$(DRIVERS) $(FIRMWARE) $(MAINS) $(SIM)) $(TOOLS) $(MODULE) \
+	$(MPI_MODULES)
+$(IN_SYSROOT): | $(SYSROOT)/packages
+$(IN_SYSROOT): private ROOTED = --sysroot=$(SYSROOT)
 endif
 $(SYSROOT)/packages: Makefile board/debian/sysroot.sh | build/deps-cross
 	@board/debian/sysroot.sh $(DEB_ARCH) $(@D) $(SYSROOT_NEEDS)
@@ -206,10 +209,12 @@ $(B)/hdrig-libcamera.so: $(MODULE_NEEDS) | build/deps
 # What drivers/net/ranks.c loads.
 $(B)/hdrig-openmpi.so: MPI := ompi-c
 $(B)/hdrig-mpich.so: MPI := mpich
-$(B)/hdrig-openmpi.so $(B)/hdrig-mpich.so: $(MPI_SHIM) $(MPI_SHIM:.c=.h) core/base/team.h Makefile
+$(B)/hdrig-openmpi.so $(B)/hdrig-mpich.so: $(MPI_SHIM) $(MPI_SHIM:.c=.h) core/base/team.h Makefile \
+		| build/deps
 	@mkdir -p $(@D)
 	$(CC) -std=c11 -D_GNU_SOURCE -I. -g -O2 -fPIC -shared -fvisibility=hidden -pthread $(WARN) \
-	    $(SANFLAGS) -o $@ $< $(patsubst -I%,-isystem %,$(shell $(PKG_CONFIG) --cflags --libs $(MPI)))
+	    $(ROOTED) $(SANFLAGS) -o $@ $< \
+	    $(patsubst -I%,-isystem %,$(shell $(PKG_CONFIG) --cflags --libs $(MPI)))
 
 LIB = $(DESTDIR)$(PREFIX)/lib
 SHARE = $(DESTDIR)$(PREFIX)/share/hdrig
@@ -230,7 +235,7 @@ install: all
 	install -d $(DESTDIR)$(PREFIX)/bin $(DESTDIR)$(PREFIX)/share/hdrig $(DESTDIR)/etc/hdrig
 	install -m 755 $(TOOLS) $(DESTDIR)$(PREFIX)/bin
 	install -D -m 644 $(MODULE) $(LIB)/hdrig/$(notdir $(MODULE))
-	$(if $(MPI_MODULES),install -m 644 $(MPI_MODULES) $(LIB)/hdrig)
+	install -m 644 $(MPI_MODULES) $(LIB)/hdrig
 	install -m 644 build/small.hdrig $(DESTDIR)$(PREFIX)/share/hdrig
 	@$(call put_settings,board/common/defaults.conf)
 	$(if $(BOARD),@$(call put_settings,board/$(BOARD)/board.conf))
@@ -273,7 +278,7 @@ deb: all
 	sed "s/@VERSION@/$(VERSION)/; s/@DATE@/$$(date -R)/" board/debian/changelog | gzip -9n \
 	    >build/deb/root/usr/share/doc/hdrig/changelog.gz
 	cd build/deb && $(SHLIBDEPS) -O root/usr/bin/hdrig root/usr/bin/hdrigd \
-	    root/usr/lib/hdrig/*.so >depends
+	    root/usr/lib/hdrig/$(notdir $(MODULE)) >depends
 	sed -e "s/@VERSION@/$(VERSION)/; s/@ARCH@/$(DEB_ARCH)/" \
 	    -e "s/@DEPENDS@/$$(sed 's/^shlibs:Depends=//' build/deb/depends)/" \
 	    board/debian/control >build/deb/root/DEBIAN/control

@@ -9,6 +9,7 @@
  * confirming depths. */
 #include "core/stereo/sweep.h"
 
+#include "core/base/deal.h"
 #include "core/base/num.h"
 #include "core/photo/response.h"
 #include "core/stereo/sgm.h"
@@ -521,8 +522,10 @@ static err_t sweep_view(void *ctx, int i, int worker)
     const struct run *r = s->run;
     err_t e = match_view(s, i, worker);
     int done = atomic_fetch_add(&s->done, 1) + 1;
+    const int rank = team_rank(r->team), n = s->v->n;
+    const int all = team_first(r->team, n, rank + 1) - team_first(r->team, n, rank);
     if (!e && worker == 0 && r->progress)
-        r->progress(r->progress_ctx, "sweep", done, s->v->n, NULL);
+        r->progress(r->progress_ctx, "sweep", done, all, NULL);
     return e;
 }
 
@@ -715,9 +718,17 @@ err_t sweep_run(const struct run *r, const struct views *v, const struct tonemap
         e = pool_for(r->pool, v->n, make_light_map, &s);
     }
     if (!e)
-        e = pool_for(r->pool, v->n, sweep_view, &s);
+        e = deal_for(r, v->n, sweep_view, &s);
     if (!e)
-        e = pool_for(r->pool, v->n, confirm_view, &s);
+        e = deal_gather(r, s.rho, sizeof *s.rho, out->extent, v->n);
+    if (!e)
+        e = deal_gather(r, s.sure, sizeof *s.sure, out->extent, v->n);
+    if (!e)
+        e = deal_for(r, v->n, confirm_view, &s);
+    if (!e)
+        e = deal_gather(r, out->depth, sizeof *out->depth, out->extent, v->n);
+    if (!e)
+        e = deal_gather(r, out->conf, sizeof *out->conf, out->extent, v->n);
     arena_reset(r->tmp, mark);
     if (e) {
         arena_reset(r->keep, keep);

@@ -3,6 +3,7 @@
 #include "core/stereo/sweep.h"
 
 #include "core/photo/response.h"
+#include "tests/unit/core/base/team_local.h"
 #include "tests/unit/squares.h"
 
 #include <math.h>
@@ -190,6 +191,36 @@ static void test_same_for_any_number_of_threads(void **state)
     free_world(&b);
 }
 
+/* A rank computes some of the maps, and must end with all of them. */
+static err_t compare_on_rank(void *ctx, struct team *t)
+{
+    const struct depthmaps *whole = ctx;
+    struct world w;
+    struct depthmaps d;
+    make_world(&w, 1);
+    w.run.team = t;
+    err_t e = sweep_run(&w.run, &w.v, &w.tone, &d);
+    if (!e && (memcmp(d.depth, whole->depth, VIEWS * SIZE * SIZE * sizeof(float)) != 0 ||
+               memcmp(d.conf, whole->conf, VIEWS * SIZE * SIZE * sizeof(float)) != 0))
+        e = err_fail(ERR_ARG, "rank %d has other maps", team_rank(t));
+    free_world(&w);
+    return e;
+}
+
+static void test_same_for_any_number_of_ranks(void **state)
+{
+    const int uneven[8] = {8, 1, 8, 8, 2, 8, 8, 8};
+    (void)state;
+    struct world w;
+    struct depthmaps d;
+    make_world(&w, 2);
+    assert_int_equal(sweep_run(&w.run, &w.v, &w.tone, &d), OK);
+    for (int size = 2; size <= 8; size += 2) // with 8, some have no view
+        if (team_local_run(size, size > 2 ? uneven : NULL, compare_on_rank, &d, NULL))
+            fail_msg("%s", err_text());
+    free_world(&w);
+}
+
 /* Runs that find nothing to match must still answer. */
 static void expect_guess(struct world *w)
 {
@@ -327,6 +358,7 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_depth),
         cmocka_unit_test(test_same_for_any_number_of_threads),
+        cmocka_unit_test(test_same_for_any_number_of_ranks),
         cmocka_unit_test(test_nothing_to_match),
         cmocka_unit_test(test_blank_wall),
         cmocka_unit_test(test_two_views),

@@ -1,4 +1,4 @@
-#include "core/base/team.h"
+#include "core/base/deal.h"
 
 #include "tests/unit/core/base/team_local.h"
 
@@ -93,6 +93,49 @@ static void bytes_are_counted(void **state)
     assert_int_equal(team_local_run(4, NULL, count_bytes, NULL, NULL), OK);
 }
 
+/* ---- chunks and views ---- */
+
+struct views_job {
+    struct extent px[5];
+    uint16_t plane[5][12];
+    int runs;
+};
+
+static err_t fill_view(void *ctx, int i, int worker)
+{
+    struct views_job *j = ctx;
+    (void)worker;
+    j->runs++;
+    for (int k = 0; k < 10 + i % 2; k++)
+        (&j->plane[0][0])[j->px[i].at + (size_t)k] = (uint16_t)(100 * i + k);
+    return OK;
+}
+
+static err_t share_views(void *ctx, struct team *t)
+{
+    struct views_job j = {.runs = 0};
+    struct run r = {.team = t};
+    int wrong = 0;
+    (void)ctx;
+    for (int i = 0; i < 5; i++)
+        j.px[i] = (struct extent){10 + i % 2, 1, extent_total(j.px, i)};
+    err_t e = deal_for(&r, 5, fill_view, &j);
+    const int own = team_first(t, 5, team_rank(t) + 1) - team_first(t, 5, team_rank(t));
+    if (!e)
+        e = deal_gather(&r, j.plane, sizeof **j.plane, j.px, 5);
+    for (int i = 0; i < 5; i++)
+        for (int k = 0; k < 10 + i % 2; k++)
+            wrong += (&j.plane[0][0])[j.px[i].at + (size_t)k] != 100 * i + k;
+    return e || (!wrong && j.runs == own) ? e : err_fail(ERR_ARG, "%d wrong", wrong);
+}
+
+static void views_are_computed_once_and_come_to_all(void **state)
+{
+    (void)state;
+    for (int size = 1; size <= 8; size++)
+        assert_int_equal(team_local_run(size, NULL, share_views, NULL, NULL), OK);
+}
+
 static err_t fail_on_rank_2(void *ctx, struct team *t)
 {
     int item[4] = {0};
@@ -117,6 +160,7 @@ int main(void)
         cmocka_unit_test(items_are_dealt_once_and_by_share),
         cmocka_unit_test(parts_come_to_all),
         cmocka_unit_test(bytes_are_counted),
+        cmocka_unit_test(views_are_computed_once_and_come_to_all),
         cmocka_unit_test(others_do_not_wait_for_a_rank_that_failed),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
