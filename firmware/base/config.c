@@ -142,6 +142,8 @@ static const struct key keys[] = {
      "/var/lib/hdrig/results", 0},
     {"job.run", FIELD(job_run), 0, 1, 1, 1,
      "1 = reconstruct every capture, or every session that has ended", WHOLE, NULL, 0},
+    {"job.launcher", FIELD(job_launcher), 0, 0, 1, 0,
+     "what starts jobs on several boards: mpirun --hostfile FILE ...", TEXT, "", 0},
     {"control.socket", FIELD(control_socket), 0, 0, 1, 0, "socket of the daemon", TEXT,
      "/run/hdrig/control", 0},
     {"http.port", FIELD(http_port), 0, 65535, 1, 8080, "port of the status page; 0 = no page",

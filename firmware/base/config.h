@@ -66,6 +66,7 @@ struct config {
     char store_path[CONFIG_TEXT], calibration_path[CONFIG_TEXT], results_path[CONFIG_TEXT];
     int store_reserve_mb, store_keep, store_merge;
     int job_run;
+    char job_launcher[CONFIG_TEXT];
     char control_socket[CONFIG_TEXT];
     int http_port;
     char http_address[CONFIG_TEXT], http_token[CONFIG_TEXT], http_token_file[CONFIG_TEXT];

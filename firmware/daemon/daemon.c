@@ -656,8 +656,8 @@ static err_t open_all(struct daemon *d)
     err_t e = open_signals(d);
     if (!e)
         e = open_store(d);
-    struct jobs_config jobs = {d->cfg->program, c->store_path, c->results_path,
-                               d->cfg->config_path};
+    struct jobs_config jobs = {d->cfg->program, c->store_path, c->results_path, d->cfg->config_path,
+                               c->job_launcher};
     if (!e && c->job_run)
         e = jobs_open(&jobs, &d->jobs);
     d->collect =

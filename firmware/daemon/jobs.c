@@ -2,6 +2,7 @@
 #include "firmware/daemon/jobs.h"
 
 #include "firmware/base/child.h"
+#include "firmware/base/config.h"
 #include "firmware/cmd/cmd.h"
 #include "firmware/store/places.h"
 
@@ -20,19 +21,21 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
-enum { NICE = 10, INTERRUPTED = 130 };
+enum { NICE = 10, INTERRUPTED = 130, LAUNCHER_WORDS = 32 };
 
 static const char suffix[] = ".pending", pending[] = ORIGIN_COMMENT "\n";
 
 /* Arguments of a child. */
 struct order {
     char in[PLACES_MAX][FILE_PATH_CAP], out[FILE_PATH_CAP];
-    char *argv[2 * PLACES_MAX + 8];
+    char launcher[CONFIG_TEXT]; // its words end with 0
+    char *argv[2 * PLACES_MAX + 8 + LAUNCHER_WORDS];
 };
 
 struct jobs {
     char program[FILE_PATH_CAP], captures[FILE_PATH_CAP], results[FILE_PATH_CAP];
     char config[FILE_PATH_CAP]; // "" for none
+    char launcher[CONFIG_TEXT]; // "" for none
     int n;
     char queue[JOBS_MAX][STORE_ID_CAP]; // [0] is the running one
     struct child child;
@@ -100,6 +103,26 @@ static err_t make_folder(const char *path)
                : err_fail(ERR_IO, "results.path %s: %s", path, strerror(errno));
 }
 
+/* Puts the words of `launcher` into argv, at most LAUNCHER_WORDS. returns: behind the last. */
+static char **put_launcher(char *launcher, char **argv)
+{
+    char *save, *word = strtok_r(launcher, " ", &save);
+    for (int i = 0; word && i < LAUNCHER_WORDS; i++, word = strtok_r(NULL, " ", &save))
+        *argv++ = word;
+    return argv;
+}
+
+static err_t check_launcher(const char *launcher, char out[CONFIG_TEXT])
+{
+    int words = 0;
+    for (const char *p = launcher; *p; p++)
+        words += *p != ' ' && (p == launcher || p[-1] == ' ');
+    if (words > LAUNCHER_WORDS || strlen(launcher) >= CONFIG_TEXT)
+        return err_fail(ERR_ARG, "job.launcher has %d words, at most %d", words, LAUNCHER_WORDS);
+    memcpy(out, launcher, strlen(launcher) + 1);
+    return OK;
+}
+
 err_t jobs_open(const struct jobs_config *cfg, struct jobs **out)
 {
     struct jobs *j = calloc(1, sizeof *j);
@@ -113,6 +136,8 @@ err_t jobs_open(const struct jobs_config *cfg, struct jobs **out)
         e = copy_path("results.path", cfg->results, j->results);
     if (!e && cfg->config)
         e = copy_path("--config", cfg->config, j->config);
+    if (!e && cfg->launcher)
+        e = check_launcher(cfg->launcher, j->launcher);
     if (!e)
         e = make_folder(j->results);
     if (!e)
@@ -198,6 +223,8 @@ static err_t make_order(struct jobs *j)
     err_t e = places_of(j->captures, j->queue[0], &p);
     if (!e && p.n == 0)
         memcpy(p.take[p.n++], j->queue[0], sizeof p.take[0]);
+    memcpy(o->launcher, j->launcher, sizeof o->launcher);
+    arg = put_launcher(o->launcher, arg);
     *arg++ = j->program;
     *arg++ = reconstruct;
     for (int i = 0; i < p.n && !e; i++) {

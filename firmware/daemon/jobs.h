@@ -19,6 +19,7 @@ struct jobs_config {
     const char *captures; // folder of the takes
     const char *results;  // folder of the scenes; created
     const char *config;   // settings file for the child; NULL: none
+    const char *launcher; // words before the program, "mpirun --hostfile FILE"; "" or NULL: none
 };
 
 enum jobs_end { JOBS_NONE, JOBS_DONE, JOBS_FAILED, JOBS_CANCELLED };
@@ -38,7 +39,7 @@ struct jobs;
 
 /* Queues the pending jobs of a former daemon.
  * own:  jobs_close.
- * err:  ERR_IO (folder), ERR_ARG (path too long), ERR_NOMEM */
+ * err:  ERR_IO (folder), ERR_ARG (path too long, launcher of too many words), ERR_NOMEM */
 MUST_USE err_t jobs_open(const struct jobs_config *cfg, struct jobs **out);
 
 /* Asks the child to stop, waits 5 s at most, then kills it; the queue stays pending. */

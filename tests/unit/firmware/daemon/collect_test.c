@@ -26,7 +26,7 @@ static int set_up(void **state)
     snprintf(program, sizeof program, "%s", tmpdir_path("prog"));
     snprintf(results, sizeof results, "%s", tmpdir_path("results"));
     snprintf(store, sizeof store, "%s", tmpdir_mkdir("store"));
-    struct jobs_config j = {program, store, results, NULL};
+    struct jobs_config j = {program, store, results, NULL, NULL};
     c = (struct collect){.store = store, .cameras = 1, .on = true};
     return chmod(program, 0755) != 0 || jobs_open(&j, &jobs) != OK || collect_look(&c) != OK;
 }

@@ -34,6 +34,8 @@ static int tear_down(void **state)
     return 0;
 }
 
+static const char *launcher;
+
 static void open_with(const char *script)
 {
     char program[300], captures[300], results[300];
@@ -42,7 +44,7 @@ static void open_with(const char *script)
     snprintf(captures, sizeof captures, "%s", tmpdir_path("captures"));
     snprintf(results, sizeof results, "%s", tmpdir_path("results"));
     assert_int_equal(chmod(program, 0755), 0);
-    struct jobs_config c = {program, captures, results, NULL};
+    struct jobs_config c = {program, captures, results, NULL, launcher};
     assert_int_equal(jobs_open(&c, &j), OK);
 }
 
@@ -65,6 +67,26 @@ static bool pending(const char *id)
     char name[64];
     snprintf(name, sizeof name, "results/%s.pending", id);
     return file_exists(tmpdir_path(name));
+}
+
+static void a_launcher_starts_the_program(void **state)
+{
+    char text[300];
+    (void)state;
+    launcher = "env  HOSTS=2 nice ";
+    open_with("#!/bin/sh\necho \"$HOSTS $1 $2\" >&2\n");
+    launcher = NULL;
+    assert_int_equal(jobs_add(j, "take-1"), OK);
+    run_until(NULL);
+    assert_int_equal(s.last, JOBS_DONE);
+    assert_string_equal(s.last_line, "2 reconstruct --images");
+    jobs_close(j);
+    memset(text, 0, sizeof text);
+    for (int i = 0; i < 33; i++)
+        strcat(text, "a ");
+    struct jobs_config c = {"p", tmpdir_path("captures"), tmpdir_path("results"), NULL, text};
+    assert_int_equal(jobs_open(&c, &j), ERR_ARG);
+    assert_non_null(strstr(err_text(), "job.launcher has 33 words, at most 32"));
 }
 
 static void one_after_the_other(void **state)
@@ -245,6 +267,7 @@ static void the_queue_is_bounded(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
+        cmocka_unit_test_setup_teardown(a_launcher_starts_the_program, set_up, tear_down),
         cmocka_unit_test_setup_teardown(one_after_the_other, set_up, tear_down),
         cmocka_unit_test_setup_teardown(a_session_is_one_scene, set_up, tear_down),
         cmocka_unit_test_setup_teardown(failures_do_not_stop_the_queue, set_up, tear_down),
