@@ -9,7 +9,7 @@
  * confirming depths. */
 #include "core/stereo/sweep.h"
 
-#include "core/base/deal.h"
+#include "core/base/share.h"
 #include "core/base/num.h"
 #include "core/photo/response.h"
 #include "core/stereo/sgm.h"
@@ -718,17 +718,17 @@ err_t sweep_run(const struct run *r, const struct views *v, const struct tonemap
         e = pool_for(r->pool, v->n, make_light_map, &s);
     }
     if (!e)
-        e = deal_for(r, v->n, sweep_view, &s);
+        e = share_for(r, v->n, sweep_view, &s);
     if (!e)
-        e = deal_gather(r, s.rho, sizeof *s.rho, out->extent, v->n);
+        e = share_gather(r, s.rho, sizeof *s.rho, out->extent, v->n);
     if (!e)
-        e = deal_gather(r, s.sure, sizeof *s.sure, out->extent, v->n);
+        e = share_gather(r, s.sure, sizeof *s.sure, out->extent, v->n);
     if (!e)
-        e = deal_for(r, v->n, confirm_view, &s);
+        e = share_for(r, v->n, confirm_view, &s);
     if (!e)
-        e = deal_gather(r, out->depth, sizeof *out->depth, out->extent, v->n);
+        e = share_gather(r, out->depth, sizeof *out->depth, out->extent, v->n);
     if (!e)
-        e = deal_gather(r, out->conf, sizeof *out->conf, out->extent, v->n);
+        e = share_gather(r, out->conf, sizeof *out->conf, out->extent, v->n);
     arena_reset(r->tmp, mark);
     if (e) {
         arena_reset(r->keep, keep);

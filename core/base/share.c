@@ -1,4 +1,4 @@
-#include "core/base/deal.h"
+#include "core/base/share.h"
 
 struct part {
     pool_fn *fn;
@@ -12,14 +12,14 @@ static err_t run_chunk(void *ctx, int chunk, int worker)
     return p->fn(p->ctx, p->first + chunk, worker);
 }
 
-err_t deal_for(const struct run *r, int n_chunks, pool_fn *fn, void *ctx)
+err_t share_for(const struct run *r, int n_chunks, pool_fn *fn, void *ctx)
 {
     const int rank = team_rank(r->team), first = team_first(r->team, n_chunks, rank);
     struct part part = {fn, ctx, first};
     return pool_for(r->pool, team_first(r->team, n_chunks, rank + 1) - first, run_chunk, &part);
 }
 
-err_t deal_gather(const struct run *r, void *data, size_t elem, const struct extent *px, int n)
+err_t share_gather(const struct run *r, void *data, size_t elem, const struct extent *px, int n)
 {
     size_t at[TEAM_MAX + 1];
     if (!r->team)

@@ -1,4 +1,4 @@
-#include "core/base/deal.h"
+#include "core/base/share.h"
 
 #include "tests/unit/core/base/team_local.h"
 
@@ -119,10 +119,10 @@ static err_t share_views(void *ctx, struct team *t)
     (void)ctx;
     for (int i = 0; i < 5; i++)
         j.px[i] = (struct extent){10 + i % 2, 1, extent_total(j.px, i)};
-    err_t e = deal_for(&r, 5, fill_view, &j);
+    err_t e = share_for(&r, 5, fill_view, &j);
     const int own = team_first(t, 5, team_rank(t) + 1) - team_first(t, 5, team_rank(t));
     if (!e)
-        e = deal_gather(&r, j.plane, sizeof **j.plane, j.px, 5);
+        e = share_gather(&r, j.plane, sizeof **j.plane, j.px, 5);
     for (int i = 0; i < 5; i++)
         for (int k = 0; k < 10 + i % 2; k++)
             wrong += (&j.plane[0][0])[j.px[i].at + (size_t)k] != 100 * i + k;
