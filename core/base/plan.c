@@ -4,7 +4,7 @@
 
 struct plan plan_begin(int threads)
 {
-    return (struct plan){arena_counter(), arena_counter(), threads};
+    return (struct plan){.keep = arena_counter(), .tmp = arena_counter(), .threads = threads};
 }
 
 void plan_refuse(struct plan *p)

@@ -7,11 +7,15 @@
 
 #include "core/base/arena.h"
 
+struct team;
+
 struct plan {
-    struct arena keep, tmp; // both count
-    int threads;            // in the pool
+    struct arena keep, tmp;  // both count
+    int threads;             // in the pool
+    const struct team *team; // as in struct run: a rank needs memory for its own part
 };
 
+/* Without a team; the caller sets it. */
 struct plan plan_begin(int threads);
 
 /* The request cannot be planned: both peaks become SIZE_MAX. */

@@ -55,6 +55,12 @@ static inline int team_rank(const struct team *t)
  * end with n = team_first(t, n, team_size(t)). A rank may have none. */
 int team_first(const struct team *t, int n, int rank);
 
+/* How many of n items are dealt to this rank. */
+static inline int team_own(const struct team *t, int n)
+{
+    return team_first(t, n, team_rank(t) + 1) - team_first(t, n, team_rank(t));
+}
+
 /* data: bytes [at[i], at[i + 1]) are those of rank i; all ranks pass the same `at` of size + 1
  * numbers. At most TEAM_PENDING may be on their way; data and the bytes of other ranks must not be
  * touched until the wait. at is copied. */

@@ -1,4 +1,5 @@
-/* Legend: V views, M patches of a view, P = M + 5 tokens of a view, d width of the branch.
+/* Legend: V views, M patches of a view, P = M + 5 tokens of a view, d width of the branch; n = M
+ * times the views of this rank, V M without a team.
  *
  * Attention (shared_attention.h) comes in blocks of query rows; the columns of the special tokens
  * are left out, and the others are multiplied by the values view by view, so that no (V M)^2 matrix
@@ -27,11 +28,11 @@ struct fusion {
     const struct tokens *t;
     struct shared_attention a;
     int d;    // width of the branch
-    int m, n; // M, V M
+    int m, n; // M, n
     int value_panels;
     struct irradiance *out;
     float *norm;       // (n, d) xn, later a hidden layer
-    float *film;       // (V, 2 d) gamma, beta
+    float *film;       // (views of this rank, 2 d) gamma, beta
     float *values;     // per view (value_panels, M, PANEL): d of the mean, d of the variance
     float *mean, *var; // (n, d)
     float *vis;        // (n, V)
@@ -135,17 +136,17 @@ static err_t layout_planes(float **planes, struct arena *tmp, int size)
     return arena_alloc(tmp, 3 * (size_t)size * (size_t)size, sizeof **planes, planes);
 }
 
-/* Appearance tokens of all views, into out->scene, where they stay as the residual. */
+/* Appearance tokens, into out->scene, where they stay as the residual. */
 static err_t embed_pictures(const struct fusion *f)
 {
     size_t px = (size_t)f->v->size * (size_t)f->v->size, mark = arena_mark(f->r->tmp);
     float *planes;
     err_t e = layout_planes(&planes, f->r->tmp, f->v->size);
-    for (int v = 0; v < f->v->n && !e; v++) {
+    for (int v = 0; v < f->t->n_own && !e; v++) {
         const struct appearance_picture picture = {planes, f->v->size};
         const struct layer_conv c = patch_conv(&f->w->patch_embed, f->v->size, &picture);
         float *out = f->out->scene + (size_t)v * (size_t)f->m * (size_t)f->d;
-        prep_to_float(f->v->rgb + 3 * px * (size_t)v, f->v->size, planes);
+        prep_to_float(f->v->rgb + 3 * px * (size_t)(f->t->first + v), f->v->size, planes);
         e = layer_conv_run(f->r, &c, &(struct layer_out){.out = out, .ldo = (size_t)f->d});
     }
     arena_reset(f->r->tmp, mark);
@@ -160,22 +161,34 @@ static void norm_rows(const struct fusion *f, const float *in, const float *g, c
         f->r->k->net.norm(&norm, in + i * (size_t)f->d, out + i * (size_t)f->d);
 }
 
-/* Inputs of the modulation for each view: (V, 3 d) code, mean token, mean of these means. */
-static void film_inputs(const struct fusion *f, float *out)
+/* Mean tokens of the views of this rank, in their rows of (V, d). */
+static void mean_tokens(const struct fusion *f, double *means)
 {
-    size_t d = (size_t)f->d, n_views = (size_t)f->v->n, m = (size_t)f->m;
-    for (size_t c = 0; c < d; c++) {
-        double all = 0;
-        for (size_t v = 0; v < n_views; v++) {
+    const size_t d = (size_t)f->d, m = (size_t)f->m;
+    for (size_t v = 0; v < (size_t)f->t->n_own; v++)
+        for (size_t c = 0; c < d; c++) {
             double sum = 0;
             for (size_t i = 0; i < m; i++)
                 sum += f->norm[(v * m + i) * d + c];
-            out[v * 3 * d + c] = f->out->code[v * d + c];
-            out[v * 3 * d + d + c] = (float)(sum / (double)m);
-            all += sum / (double)m;
+            means[((size_t)f->t->first + v) * d + c] = sum / (double)m;
         }
+}
+
+/* Inputs of the modulation for each view of this rank: (.., 3 d) code, mean token, mean of the
+ * means of all views. */
+static void film_inputs(const struct fusion *f, const double *means, float *out)
+{
+    const size_t d = (size_t)f->d, n_views = (size_t)f->v->n;
+    for (size_t c = 0; c < d; c++) {
+        double all = 0;
         for (size_t v = 0; v < n_views; v++)
+            all += means[v * d + c];
+        for (size_t v = 0; v < (size_t)f->t->n_own; v++) {
+            const size_t view = (size_t)f->t->first + v;
+            out[v * 3 * d + c] = f->out->code[view * d + c];
+            out[v * 3 * d + d + c] = (float)means[view * d + c];
             out[v * 3 * d + 2 * d + c] = (float)(all / (double)n_views);
+        }
     }
 }
 
@@ -200,21 +213,36 @@ static err_t run_mlp(const struct fusion *f, const struct mlp_weights *w, const 
     return e ? e : layer_run(f->r, &w->b, &(struct layer_in){hidden, n, in->m, true}, out);
 }
 
-static err_t layout_film(float **in, float **hidden, struct arena *tmp, size_t n_views, int d)
+/* Scratch of the modulation of `own` of the n_views. */
+struct film_room {
+    double *means; // (n_views, d)
+    float *in;     // (own, 3 d)
+    float *hidden; // (own, d)
+};
+
+static err_t layout_film(struct film_room *o, struct arena *tmp, const struct fusion *f,
+                         int n_views)
 {
-    err_t e = arena_alloc(tmp, n_views * 3 * (size_t)d, sizeof **in, in);
-    return e ? e : arena_alloc(tmp, n_views * (size_t)d, sizeof **hidden, hidden);
+    const size_t d = (size_t)f->d, own = (size_t)(f->n / f->m);
+    err_t e = arena_alloc(tmp, (size_t)n_views * d, sizeof *o->means, &o->means);
+    if (!e)
+        e = arena_alloc(tmp, own * 3 * d, sizeof *o->in, &o->in);
+    return e ? e : arena_alloc(tmp, own * d, sizeof *o->hidden, &o->hidden);
 }
 
-/* Gains and offsets of the values of each view. */
+/* Gains and offsets of the values of each view of this rank. */
 static err_t run_modulation(const struct fusion *f)
 {
-    size_t mark = arena_mark(f->r->tmp), d = (size_t)f->d, n = (size_t)f->v->n;
-    float *in, *hidden;
-    err_t e = layout_film(&in, &hidden, f->r->tmp, n, f->d);
+    size_t mark = arena_mark(f->r->tmp), d = (size_t)f->d;
+    struct film_room o;
+    err_t e = layout_film(&o, f->r->tmp, f, f->v->n);
     if (!e) {
-        film_inputs(f, in);
-        e = run_mlp(f, &f->w->film, &(struct layer_in){in, 3 * d, f->v->n, true}, hidden,
+        mean_tokens(f, o.means);
+        e = team_gather(f->r->team, o.means, d * sizeof *o.means, f->v->n);
+    }
+    if (!e) {
+        film_inputs(f, o.means, o.in);
+        e = run_mlp(f, &f->w->film, &(struct layer_in){o.in, 3 * d, f->t->n_own, true}, o.hidden,
                     &(struct layer_out){.out = f->film, .ldo = 2 * d});
     }
     arena_reset(f->r->tmp, mark);
@@ -225,7 +253,7 @@ static err_t run_modulation(const struct fusion *f)
 
 /* ---- panels ---- */
 
-/* Values of one view to panels; the mean's are modulated. flat: (M, d) each. */
+/* Values of one view of this rank to panels; the mean's are modulated. flat: (M, d) each. */
 static void pack_values(const struct fusion *f, int view, const float *mean, const float *var,
                         float *out)
 {
@@ -248,21 +276,23 @@ static err_t layout_values(float **mean, float **var, struct arena *tmp, const s
     return e ? e : arena_alloc(tmp, n, sizeof **var, var);
 }
 
+/* Values of all views. */
 static err_t project_values(const struct fusion *f)
 {
-    size_t d = (size_t)f->d, m = (size_t)f->m, mark = arena_mark(f->r->tmp);
+    size_t d = (size_t)f->d, m = (size_t)f->m, each = m * value_pitch(f),
+           mark = arena_mark(f->r->tmp);
     float *mean, *var;
     err_t e = layout_values(&mean, &var, f->r->tmp, f);
-    for (int v = 0; v < f->v->n && !e; v++) {
+    for (int v = 0; v < f->t->n_own && !e; v++) {
         const struct layer_in in = {f->norm + (size_t)v * m * d, d, f->m, true};
         e = layer_run(f->r, &f->w->v_mean, &in, &(struct layer_out){.out = mean, .ldo = d});
         if (!e)
             e = layer_run(f->r, &f->w->v_var, &in, &(struct layer_out){.out = var, .ldo = d});
         if (!e)
-            pack_values(f, v, mean, var, f->values + (size_t)v * m * value_pitch(f));
+            pack_values(f, v, mean, var, f->values + (size_t)(f->t->first + v) * each);
     }
     arena_reset(f->r->tmp, mark);
-    return e;
+    return e ? e : team_gather(f->r->team, f->values, each * sizeof *f->values, f->v->n);
 }
 
 /* ---- attention ---- */
@@ -378,7 +408,7 @@ static err_t fuse_views(struct fusion *f)
     if (!e)
         e = shared_attention_init(f->r, f->t, &f->a);
     if (!e)
-        e = pool_for(f->r->pool, f->v->n * blocks_of_view(f), fuse_block, f);
+        e = pool_for(f->r->pool, f->t->n_own * blocks_of_view(f), fuse_block, f);
     arena_reset(f->r->tmp, mark);
     return e;
 }
@@ -412,6 +442,7 @@ static err_t finish_tokens(const struct fusion *f)
 static err_t layout(struct fusion *f, struct arena *keep, struct arena *tmp, int views)
 {
     size_t n = (size_t)f->n, d = (size_t)f->d, n_views = (size_t)views;
+    size_t own = n / (size_t)f->m;
     err_t e = arena_alloc(keep, n_views * d, sizeof(float), &f->out->code);
     if (!e)
         e = arena_alloc(keep, n * d, sizeof(float), &f->out->scene);
@@ -420,9 +451,9 @@ static err_t layout(struct fusion *f, struct arena *keep, struct arena *tmp, int
     if (!e)
         e = arena_alloc(tmp, n * d, sizeof(float), &f->norm);
     if (!e)
-        e = arena_alloc(tmp, n_views * 2 * d, sizeof(float), &f->film);
+        e = arena_alloc(tmp, own * 2 * d, sizeof(float), &f->film);
     if (!e)
-        e = arena_alloc(tmp, n * value_pitch(f), sizeof(float), &f->values);
+        e = arena_alloc(tmp, n_views * (size_t)f->m * value_pitch(f), sizeof(float), &f->values);
     if (!e)
         e = arena_alloc(tmp, n * d, sizeof(float), &f->mean);
     if (!e)
@@ -432,21 +463,23 @@ static err_t layout(struct fusion *f, struct arena *keep, struct arena *tmp, int
     return e;
 }
 
-static struct fusion fusion_of(const struct net *net, int n_views, int grid)
+static struct fusion fusion_of(const struct net *net, const struct team *team, int n_views,
+                               int grid)
 {
     int m = grid * grid, d = net->d.hdr;
     return (struct fusion){.w = &net->appearance,
                            .a = shared_attention_shape(&net->d, n_views, grid),
                            .d = d,
                            .m = m,
-                           .n = n_views * m,
+                           .n = team_own(team, n_views) * m,
                            .value_panels = panels_of(2 * d)};
 }
 
 void appearance_plan(struct plan *p, const struct net *net, int n_views, int size)
 {
-    struct fusion f = fusion_of(net, n_views, size / NET_PATCH);
+    struct fusion f = fusion_of(net, p->team, n_views, size / NET_PATCH);
     struct irradiance out;
+    struct film_room film;
     const struct layer_conv conv = patch_conv(&f.w->patch_embed, size, NULL);
     float *x, *y;
     const size_t begin = arena_mark(&p->tmp);
@@ -458,7 +491,7 @@ void appearance_plan(struct plan *p, const struct net *net, int n_views, int siz
     layer_conv_plan(p, &conv);
     arena_reset(&p->tmp, mark);
     if (!e)
-        e = layout_film(&x, &y, &p->tmp, (size_t)n_views, f.d);
+        e = layout_film(&film, &p->tmp, &f, n_views);
     layer_plan(p, 3 * f.d);
     arena_reset(&p->tmp, mark);
     if (!e)
@@ -477,7 +510,7 @@ void appearance_plan(struct plan *p, const struct net *net, int n_views, int siz
 err_t appearance_run(const struct run *r, const struct net *net, const struct views *v,
                      const struct tokens *t, struct irradiance *out)
 {
-    struct fusion f = fusion_of(net, v->n, t->grid);
+    struct fusion f = fusion_of(net, r->team, v->n, t->grid);
     size_t keep = arena_mark(r->keep), tmp = arena_mark(r->tmp);
     memset(out, 0, sizeof *out);
     f.r = r;

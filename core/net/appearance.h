@@ -1,6 +1,7 @@
 /* appearance.h - one appearance per patch from photographs of different exposures: tokens of the
  * pictures, modulated by their exposures, are averaged over all views by the geometric attention of
- * the backbone (core/net/README.md 2.6 to 2.8).
+ * the backbone (core/net/README.md 2.6 to 2.8). In a team a rank fuses the views that are dealt to
+ * it, from the values of all.
  * Pure computation on the pool inside struct run.
  * Invariant: results do not depend on the number of threads. */
 #ifndef NET_APPEARANCE_H

@@ -9,16 +9,14 @@
 #define LARGEST                                                                                    \
     1e15f // bound of a quantised query or key: its square times 128 channels is below FLT_MAX
 
-static size_t count_blocks(const struct attention *a)
-{
-    return ((size_t)a->len + ATTENTION_KEYS - 1) / ATTENTION_KEYS;
-}
-
-/* Elements of all keys, and of all values. */
-static size_t count_keys(const struct attention *a)
-{
-    return (size_t)a->seqs * (size_t)a->heads * count_blocks(a) * ATTENTION_KEYS;
-}
+/* Parts of a stored block of keys; those from key_scale on only for s8. */
+struct stored {
+    void *key;          // (128 / 16, width, 16), s8: (.., width / 4, 16, 4)
+    void *value;        // (width / 16, 128, 16), s8: (.., 32, 16, 4)
+    float *key_scale;   // (128)
+    float *value_scale; // (width)
+    int32_t *shift;     // (width) 127 times the sum of the values
+};
 
 static size_t elem_of(const struct attention *a)
 {
@@ -27,25 +25,41 @@ static size_t elem_of(const struct attention *a)
 
 /* ---- memory ---- */
 
+int attention_blocks(const struct attention *a)
+{
+    return (a->len + ATTENTION_KEYS - 1) / ATTENTION_KEYS;
+}
+
+size_t attention_block_bytes(const struct attention *a)
+{
+    const size_t w = (size_t)a->width;
+    const size_t scales = ATTENTION_KEYS * sizeof(float) + w * (sizeof(float) + sizeof(int32_t));
+    return 2 * ATTENTION_KEYS * w * elem_of(a) + (a->floats ? 0 : scales);
+}
+
+/* The block that begins with key `first`; head: among all sequences. */
+static struct stored block_at(const struct attention *a, size_t head, int first)
+{
+    const size_t w = (size_t)a->width, half = ATTENTION_KEYS * w * elem_of(a);
+    const size_t block = head * (size_t)attention_blocks(a) + (size_t)(first / ATTENTION_KEYS);
+    char *at = a->blocks + block * attention_block_bytes(a);
+    float *scales = (float *)(at + 2 * half);
+    return (struct stored){.key = at,
+                           .value = at + half,
+                           .key_scale = scales,
+                           .value_scale = scales + ATTENTION_KEYS,
+                           .shift = (int32_t *)(scales + ATTENTION_KEYS + w)};
+}
+
 err_t attention_init(struct attention *a, struct arena *arena)
 {
-    size_t keys = count_keys(a), heads = (size_t)a->seqs * (size_t)a->heads, w = (size_t)a->width;
-    err_t e = arena_alloc(arena, heads * (size_t)a->len * w, elem_of(a), &a->q);
+    size_t heads = (size_t)a->seqs * (size_t)a->heads, queries = heads * (size_t)a->q_len;
+    err_t e = arena_alloc(arena, queries * (size_t)a->width, elem_of(a), &a->q);
     if (!e)
-        e = arena_alloc(arena, keys * w, elem_of(a), &a->key);
-    if (!e)
-        e = arena_alloc(arena, keys * w, elem_of(a), &a->value);
-    if (!e)
-        e = arena_alloc(arena, heads * (size_t)a->len, sizeof(float), &a->query_scale);
-    a->key_scale = a->value_scale = NULL;
-    a->shift = NULL;
-    if (!e && !a->floats)
-        e = arena_alloc(arena, keys, sizeof(float), &a->key_scale);
-    if (!e && !a->floats)
-        e = arena_alloc(arena, keys / ATTENTION_KEYS * w, sizeof(float), &a->value_scale);
-    if (!e && !a->floats)
-        e = arena_alloc(arena, keys / ATTENTION_KEYS * w, sizeof(int32_t), &a->shift);
-    return e;
+        e = arena_alloc(arena, queries, sizeof(float), &a->query_scale);
+    return e ? e
+             : arena_alloc(arena, heads * (size_t)attention_blocks(a), attention_block_bytes(a),
+                           &a->blocks);
 }
 
 static size_t strip_bytes(int width)
@@ -83,7 +97,7 @@ static float quantise_part(const struct gemm_kernels *k, const float *x, int n, 
     return top < FLT_MIN ? 0 : top / 127;
 }
 
-/* A block of tokens of one head. */
+/* Tokens of one head. */
 struct block {
     const struct attention *a;
     size_t head;     // among all sequences: seq heads + head
@@ -93,14 +107,44 @@ struct block {
     size_t ld; // from token to token
 };
 
+static struct block block_of(const struct attention *a, const struct attention_span *s, int head,
+                             const float *qkv)
+{
+    const size_t c = (size_t)a->heads * (size_t)a->width;
+    const float *q = qkv + (size_t)head * (size_t)a->width;
+    return (struct block){.a = a,
+                          .head = (size_t)s->seq * (size_t)a->heads + (size_t)head,
+                          .seq = s->seq,
+                          .in_seq = head,
+                          .first = s->first,
+                          .n = s->n,
+                          .q = q,
+                          .k = q + c,
+                          .v = q + 2 * c,
+                          .ld = 3 * c};
+}
+
+/* Where the query of a token lies. */
+static size_t query_at(const struct block *b, int token)
+{
+    const struct attention *a = b->a;
+    size_t row = (size_t)b->seq * (size_t)a->q_len + (size_t)(token - a->q_first);
+    return (row * (size_t)a->heads + (size_t)b->in_seq) * (size_t)a->width;
+}
+
+static float *query_scale_at(const struct block *b, int token)
+{
+    const struct attention *a = b->a;
+    return a->query_scale + b->head * (size_t)a->q_len + (token - a->q_first);
+}
+
 static void store_queries(const struct block *b)
 {
     const struct attention *a = b->a;
     const float unit = 1 / sqrtf((float)a->width);
-    float *scale = a->query_scale + b->head * (size_t)a->len + b->first;
+    float *scale = query_scale_at(b, b->first);
     for (int i = 0; i < b->n; i++) {
-        size_t token = (size_t)b->seq * (size_t)a->len + (size_t)(b->first + i);
-        size_t at = (token * (size_t)a->heads + (size_t)b->in_seq) * (size_t)a->width;
+        size_t at = query_at(b, b->first + i);
         const float *q = b->q + (size_t)i * b->ld;
         scale[i] = unit;
         if (a->floats)
@@ -114,21 +158,20 @@ static void store_queries(const struct block *b)
 static void store_keys(const struct block *b, struct attention_workspace *room)
 {
     const struct attention *a = b->a;
-    size_t key = b->head * count_blocks(a) * ATTENTION_KEYS + (size_t)b->first;
-    size_t from = key * (size_t)a->width;
+    const struct stored stored = block_at(a, b->head, b->first);
     int padded = (b->n + PANEL - 1) / PANEL * PANEL, w = a->width;
     for (int i = 0; i < padded; i++) {
         const float *k = b->k + (size_t)i * b->ld;
-        size_t panel = from + (size_t)(i / PANEL * PANEL) * (size_t)w;
+        size_t panel = (size_t)(i / PANEL * PANEL) * (size_t)w;
         if (a->floats) {
-            float *to = (float *)a->key + panel + i % PANEL;
+            float *to = (float *)stored.key + panel + i % PANEL;
             for (int c = 0; c < w; c++)
                 to[c * PANEL] = i < b->n ? k[c] : 0;
             continue;
         }
-        int8_t *to = (int8_t *)a->key + panel + 4 * (i % PANEL);
+        int8_t *to = (int8_t *)stored.key + panel + 4 * (i % PANEL);
         if (i < b->n)
-            a->key_scale[key + (size_t)i] = quantise_part(a->k, k, w, LARGEST, room->q);
+            stored.key_scale[i] = quantise_part(a->k, k, w, LARGEST, room->q);
         else
             memset(room->q, 0, (size_t)w);
         for (int c = 0; c < w; c += 4)
@@ -148,21 +191,19 @@ static void store_float_values(const struct block *b, float *to)
 static void store_values(const struct block *b, struct attention_workspace *room)
 {
     const struct attention *a = b->a;
-    size_t block = b->head * count_blocks(a) + (size_t)(b->first / ATTENTION_KEYS);
-    size_t from = block * ATTENTION_KEYS * (size_t)a->width;
+    const struct stored stored = block_at(a, b->head, b->first);
     if (a->floats) {
-        store_float_values(b, (float *)a->value + from);
+        store_float_values(b, stored.value);
         return;
     }
     for (int i = 0; i < b->n; i++)
         for (int c = 0; c < a->width; c++)
             room->transposed[c * ATTENTION_KEYS + i] = b->v[(size_t)i * b->ld + (size_t)c];
-    float *scale = a->value_scale + block * (size_t)a->width;
-    int8_t *to = (int8_t *)a->value + from;
+    int8_t *to = stored.value;
     memset(room->q, 0, ATTENTION_KEYS);
     for (int c = 0; c < a->width; c++) {
         int8_t *panel = to + c / PANEL * PANEL * ATTENTION_KEYS + 4 * (c % PANEL);
-        scale[c] =
+        stored.value_scale[c] =
             quantise_part(a->k, room->transposed + c * ATTENTION_KEYS, b->n, INFINITY, room->q);
         for (int i = 0; i < b->n; i += 4)
             memcpy(panel + i * PANEL, room->q + i, 4);
@@ -175,28 +216,25 @@ static void store_values(const struct block *b, struct attention_workspace *room
                                  .a = room->q,
                                  .w = to,
                                  .ldw = ATTENTION_KEYS * PANEL,
-                                 .c = a->shift + block * (size_t)a->width,
+                                 .c = stored.shift,
                                  .ldc = (size_t)a->width};
     a->k->s8(&sums);
 }
 
-void attention_store(const struct attention *a, const struct attention_span *s, const float *qkv,
-                     struct attention_workspace *room)
+void attention_store_queries(const struct attention *a, const struct attention_span *s,
+                             const float *qkv)
 {
-    size_t c = (size_t)a->heads * (size_t)a->width;
     for (int h = 0; h < a->heads; h++) {
-        const float *q = qkv + (size_t)h * (size_t)a->width;
-        struct block b = {.a = a,
-                          .head = (size_t)s->seq * (size_t)a->heads + (size_t)h,
-                          .seq = s->seq,
-                          .in_seq = h,
-                          .first = s->first,
-                          .n = s->n,
-                          .q = q,
-                          .k = q + c,
-                          .v = q + 2 * c,
-                          .ld = 3 * c};
+        const struct block b = block_of(a, s, h, qkv);
         store_queries(&b);
+    }
+}
+
+void attention_store_block(const struct attention *a, const struct attention_span *s,
+                           const float *qkv, struct attention_workspace *room)
+{
+    for (int h = 0; h < a->heads; h++) {
+        const struct block b = block_of(a, s, h, qkv);
         store_keys(&b, room);
         store_values(&b, room);
     }
@@ -204,13 +242,12 @@ void attention_store(const struct attention *a, const struct attention_span *s, 
 
 /* ---- rows ---- */
 
-/* Logits of a block of n keys from `first` on. */
-static void block_logits(const struct attention *a, const struct block *b, int first, int n,
+/* Logits of a stored block of n keys. */
+static void block_logits(const struct block *b, const struct stored *of, int n,
                          struct attention_workspace *room)
 {
-    size_t token = (size_t)b->seq * (size_t)a->len + (size_t)b->first, w = (size_t)a->width;
-    size_t at = (token * (size_t)a->heads + (size_t)b->in_seq) * w;
-    size_t key = (b->head * count_blocks(a) * ATTENTION_KEYS + (size_t)first) * w;
+    const struct attention *a = b->a;
+    size_t at = query_at(b, b->first), w = (size_t)a->width;
     int panels = (n + PANEL - 1) / PANEL;
     if (a->floats) {
         const struct gemm_f32 g = {.m = b->n,
@@ -219,7 +256,7 @@ static void block_logits(const struct attention *a, const struct block *b, int f
                                    .seg = a->width,
                                    .a = (const float *)a->q + at,
                                    .lda = (size_t)a->heads * w,
-                                   .w = (const float *)a->key + key,
+                                   .w = of->key,
                                    .ldw = w * PANEL,
                                    .c = room->sf,
                                    .ldc = ATTENTION_KEYS};
@@ -231,7 +268,7 @@ static void block_logits(const struct attention *a, const struct block *b, int f
                                   .seg = a->width,
                                   .a = (const int8_t *)a->q + at,
                                   .lda = (size_t)a->heads * w,
-                                  .w = (const int8_t *)a->key + key,
+                                  .w = of->key,
                                   .ldw = w * PANEL,
                                   .c = room->s,
                                   .ldc = ATTENTION_KEYS};
@@ -239,18 +276,17 @@ static void block_logits(const struct attention *a, const struct block *b, int f
     }
 }
 
-static void softmax_weights(const struct attention *a, const struct block *b, int first, int n,
+static void softmax_weights(const struct block *b, const struct stored *of, int n,
                             struct attention_workspace *room)
 {
-    size_t key = b->head * count_blocks(a) * ATTENTION_KEYS + (size_t)first;
+    const bool floats = b->a->floats;
     const struct attend_block t = {.m = b->n,
                                    .n = n,
-                                   .si = a->floats ? NULL : room->s,
+                                   .si = floats ? NULL : room->s,
                                    .sf = room->sf,
                                    .lds = ATTENTION_KEYS,
-                                   .row_scale =
-                                       a->query_scale + b->head * (size_t)a->len + b->first,
-                                   .key_scale = a->floats ? NULL : a->key_scale + key,
+                                   .row_scale = query_scale_at(b, b->first),
+                                   .key_scale = floats ? NULL : of->key_scale,
                                    .top = room->top,
                                    .sum = room->sum,
                                    .pi = room->p,
@@ -258,15 +294,14 @@ static void softmax_weights(const struct attention *a, const struct block *b, in
                                    .ldp = ATTENTION_KEYS,
                                    .rescale = room->rescale,
                                    .weigh = room->weigh};
-    a->k->attend_block(&t);
+    b->a->k->attend_block(&t);
 }
 
-/* Sums of weights times values of the block that begins with key `first`. */
-static void weighted_values(const struct attention *a, const struct block *b, int first, int n,
+/* Sums of weights times values of a stored block of n. */
+static void weighted_values(const struct block *b, const struct stored *of, int n,
                             struct attention_workspace *room)
 {
-    size_t block = b->head * count_blocks(a) + (size_t)(first / ATTENTION_KEYS);
-    size_t at = block * ATTENTION_KEYS * (size_t)a->width;
+    const struct attention *a = b->a;
     if (a->floats) {
         const struct gemm_f32 g = {.m = b->n,
                                    .panels = a->width / PANEL,
@@ -274,7 +309,7 @@ static void weighted_values(const struct attention *a, const struct block *b, in
                                    .seg = n,
                                    .a = room->sf,
                                    .lda = ATTENTION_KEYS,
-                                   .w = (const float *)a->value + at,
+                                   .w = of->value,
                                    .ldw = ATTENTION_KEYS * PANEL,
                                    .c = room->cf,
                                    .ldc = (size_t)a->width};
@@ -286,7 +321,7 @@ static void weighted_values(const struct attention *a, const struct block *b, in
                                   .seg = (n + 3) / 4 * 4,
                                   .a = room->p,
                                   .lda = ATTENTION_KEYS,
-                                  .w = (const int8_t *)a->value + at,
+                                  .w = of->value,
                                   .ldw = ATTENTION_KEYS * PANEL,
                                   .c = room->c,
                                   .ldc = (size_t)a->width};
@@ -297,7 +332,8 @@ static void weighted_values(const struct attention *a, const struct block *b, in
 void attention_head(const struct attention *a, const struct attention_span *s, int head, float *out,
                     size_t ldo, struct attention_workspace *room)
 {
-    const struct block b = {.head = (size_t)s->seq * (size_t)a->heads + (size_t)head,
+    const struct block b = {.a = a,
+                            .head = (size_t)s->seq * (size_t)a->heads + (size_t)head,
                             .seq = s->seq,
                             .in_seq = head,
                             .first = s->first,
@@ -308,12 +344,11 @@ void attention_head(const struct attention *a, const struct attention_span *s, i
         memset(out + (size_t)i * ldo, 0, (size_t)a->width * sizeof *out);
     }
     for (int first = 0; first < a->len; first += ATTENTION_KEYS) {
-        int n = num_min(ATTENTION_KEYS, a->len - first);
-        size_t at =
-            (b.head * count_blocks(a) + (size_t)(first / ATTENTION_KEYS)) * (size_t)a->width;
-        block_logits(a, &b, first, n, room);
-        softmax_weights(a, &b, first, n, room);
-        weighted_values(a, &b, first, n, room);
+        const int n = num_min(ATTENTION_KEYS, a->len - first);
+        const struct stored of = block_at(a, b.head, first);
+        block_logits(&b, &of, n, room);
+        softmax_weights(&b, &of, n, room);
+        weighted_values(&b, &of, n, room);
         const struct attend_add add = {.m = s->n,
                                        .n = a->width,
                                        .ci = a->floats ? NULL : room->c,
@@ -321,8 +356,8 @@ void attention_head(const struct attention *a, const struct attention_span *s, i
                                        .ldc = (size_t)a->width,
                                        .rescale = room->rescale,
                                        .weigh = room->weigh,
-                                       .value_scale = a->floats ? NULL : a->value_scale + at,
-                                       .shift = a->floats ? NULL : a->shift + at,
+                                       .value_scale = a->floats ? NULL : of.value_scale,
+                                       .shift = a->floats ? NULL : of.shift,
                                        .o = out,
                                        .ldo = ldo};
         a->k->attend_add(&add);

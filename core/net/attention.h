@@ -2,7 +2,7 @@
  * so that no matrix of tokens by tokens exists (Milakov and Gimelshein 2018; Dao et al. 2022).
  * Queries, keys and values are stored once in the form of the products; then any rows can be
  * computed. In s8 (gemm.h): q and k with a scale per token and head, v per block of keys, head and
- * channel; else in floats.
+ * channel; else in floats. A block of keys lies in one piece, which may come from elsewhere.
  * A call writes only data of its own tokens, so calls may run in parallel. */
 #ifndef NET_ATTENTION_H
 #define NET_ATTENTION_H
@@ -16,18 +16,14 @@ enum {
 
 struct attention {
     const struct gemm_kernels *k;
-    int seqs, len;    // sequences; tokens of each
-    int heads, width; // width of a head: a multiple of 16, at most 128
+    int seqs, len;      // sequences; tokens of each
+    int q_first, q_len; // tokens of a sequence whose queries are stored
+    int heads, width;   // width of a head: a multiple of 16, at most 128
     bool floats;
-    /* carved by attention_init; blocks = len / ATTENTION_KEYS rounded up, keys = ATTENTION_KEYS
-     * blocks; elements are s8 unless floats */
-    void *q;            // (seqs len, heads, width)
-    void *key;          // (seqs, heads, keys / 16, width, 16), s8: (.., width / 4, 16, 4)
-    void *value;        // (seqs, heads, blocks, width / 16, 128, 16), s8: (.., 32, 16, 4)
-    float *query_scale; // (seqs, heads, len) with 1 / sqrt(width); the others only for s8
-    float *key_scale;   // (seqs, heads, keys)
-    float *value_scale; // (seqs, heads, blocks, width)
-    int32_t *shift;     // (seqs, heads, blocks, width) 127 times the sum of the block's values
+    /* carved by attention_init; elements are s8 unless floats */
+    void *q;            // (seqs q_len, heads, width)
+    float *query_scale; // (seqs, heads, q_len) with 1 / sqrt(width)
+    char *blocks;       // (seqs, heads, attention_blocks) of attention_block_bytes each
 };
 
 /* Scratch of one worker. */
@@ -51,18 +47,26 @@ struct attention_span {
     int seq, first, n;
 };
 
+/* Blocks of keys of a sequence, the last one with the rest of them, and bytes of one. */
+int attention_blocks(const struct attention *a);
+size_t attention_block_bytes(const struct attention *a);
+
 /* Carve the arrays of *a, whose shape the caller has set. */
 MUST_USE err_t attention_init(struct attention *a, struct arena *arena);
 MUST_USE err_t attention_workspace_init(struct attention_workspace *room, int width,
                                         struct arena *arena);
 
-/* Store tokens: first is a multiple of ATTENTION_KEYS, and n is ATTENTION_KEYS or the rest of the
- * sequence. qkv: (n, 3, heads, width). */
-void attention_store(const struct attention *a, const struct attention_span *s, const float *qkv,
-                     struct attention_workspace *room);
+/* Store queries of tokens from q_first to q_first + q_len. qkv: (n, 3, heads, width). */
+void attention_store_queries(const struct attention *a, const struct attention_span *s,
+                             const float *qkv);
 
-/* Attention of the tokens of s (at most ATTENTION_ROWS) over their whole sequence, one head. The
- * whole sequence must have been stored. out: (n, width) from row to row ldo. */
+/* Store a block of keys and values: first is a multiple of ATTENTION_KEYS, and n is ATTENTION_KEYS
+ * or the rest of the sequence. */
+void attention_store_block(const struct attention *a, const struct attention_span *s,
+                           const float *qkv, struct attention_workspace *room);
+
+/* Attention of the tokens of s (at most ATTENTION_ROWS) over their whole sequence, one head. Their
+ * queries and all blocks of the head must be there. out: (n, width) from row to row ldo. */
 void attention_head(const struct attention *a, const struct attention_span *s, int head, float *out,
                     size_t ldo, struct attention_workspace *room);
 

@@ -1,6 +1,7 @@
-/* Legend: V views, P = NET_SPECIAL + grid^2 tokens of a view, C = embed. One residual stream of
- * floats x (V, P, C) goes through everything; five special tokens come first in each view, those of
- * DINOv2 (class, registers) and then those of the aggregator (camera, registers). */
+/* Legend: V views of this rank (of all without a team), P = NET_SPECIAL + grid^2 tokens of a view,
+ * C = embed. One residual stream of floats x (V, P, C) goes through everything; five special tokens
+ * come first in each view, those of DINOv2 (class, registers) and then those of the aggregator
+ * (camera, registers). */
 #include "core/net/backbone.h"
 
 #include "core/base/num.h"
@@ -26,7 +27,7 @@ struct stage {
     const struct net *net;
     const struct views *v;
     struct tokens *t;
-    float *x;                   // (V, P, C)
+    float *x;                   // (V, P, C), the views of this rank
     const float *cosine, *sine; // (P, C / heads / 2)
     int done, total;            // blocks
 };
@@ -144,6 +145,7 @@ static struct layer_conv patch_conv(const struct net *net, int size)
                                .fetch = fetch_pixels};
 }
 
+/* view: among those of this rank. */
 static float *view_tokens(const struct stage *s, int view)
 {
     return s->x + (size_t)view * (size_t)s->t->n_tokens * (size_t)s->t->embed;
@@ -166,7 +168,7 @@ static err_t check_patches(const struct stage *s, const char *name)
     const struct tokens *t = s->t;
     size_t c = (size_t)t->embed;
     err_t e = OK;
-    for (int v = 0; v < t->n_views && !e; v++)
+    for (int v = 0; v < t->n_own && !e; v++)
         e = finite_check(s->r, name, FINITE_MAX, view_tokens(s, v) + NET_SPECIAL * c,
                          (size_t)t->grid * (size_t)t->grid * c);
     if (e)
@@ -194,7 +196,7 @@ static err_t check_stream(const struct stage *s, const char *stem, int i, bool g
     struct tap_tensor whole = {.name = name, .rank = 3, .data = s->x};
     snprintf(name, sizeof name, "%s%02d", stem, i);
     err_t e = finite_check(s->r, name, FINITE_MAX, s->x,
-                           (size_t)t->n_views * (size_t)t->n_tokens * (size_t)t->embed);
+                           (size_t)t->n_own * (size_t)t->n_tokens * (size_t)t->embed);
     if (e)
         return e;
     whole.shape[0] = global ? 1 : t->n_views;
@@ -270,9 +272,9 @@ static err_t embed_patches(struct stage *s)
     conv.ctx = &px;
     pixels_init(&px, s->v->size);
     err_t e = layout_table(&table, s->r->tmp, t);
-    for (int v = 0; v < t->n_views && !e; v++) {
+    for (int v = 0; v < t->n_own && !e; v++) {
         const struct layer_out out = {.out = view_tokens(s, v) + NET_SPECIAL * c, .ldo = c};
-        px.rgb = s->v->rgb + 3 * (size_t)v * (size_t)s->v->size * (size_t)s->v->size;
+        px.rgb = s->v->rgb + 3 * (size_t)(t->first + v) * (size_t)s->v->size * (size_t)s->v->size;
         e = layer_conv_run(s->r, &conv, &out);
     }
     if (!e)
@@ -282,7 +284,7 @@ static err_t embed_patches(struct stage *s)
         backbone_positions(net->pos_embed + c, t->embed, t->grid, table + c);
         tap_positions(s, table);
     }
-    for (int v = 0; v < t->n_views && !e; v++) {
+    for (int v = 0; v < t->n_own && !e; v++) {
         float *x = view_tokens(s, v);
         set_special(s, v, net->cls_token, net->dino_registers);
         for (size_t i = 0; i < c; i++)
@@ -319,8 +321,21 @@ static err_t run_dino(struct stage *s)
             e = check_stream(s, "dino.block", i, false);
     }
     if (!e)
-        e = pool_for(s->r->pool, s->t->n_views, norm_chunk, s);
+        e = pool_for(s->r->pool, s->t->n_own, norm_chunk, s);
     return e ? e : check_patches(s, "dino.patch_tokens");
+}
+
+/* Keys of block qk_layer, of all ranks. */
+static err_t gather_keys(const struct stage *s)
+{
+    const struct tokens *t = s->t;
+    const size_t heads = (size_t)s->net->d.heads;
+    const size_t view = (size_t)t->n_tokens * (size_t)t->embed / heads;
+    err_t e = OK;
+    for (size_t h = 0; h < heads && !e; h++)
+        e = team_gather(s->r->team, t->k + h * (size_t)t->n_views * view, view * sizeof *t->k,
+                        t->n_views);
+    return e;
 }
 
 /* Frame and global block i. */
@@ -352,6 +367,8 @@ static err_t run_pair(struct stage *s, int i)
     e = run_block(s, &b);
     if (!e)
         e = check_stream(s, "agg.global", i, true);
+    if (!e && b.k)
+        e = gather_keys(s);
     if (e)
         return e;
     if (keep)
@@ -380,8 +397,8 @@ static err_t run_aggregator(struct stage *s)
     backbone_angles(s->t->grid, (int)head, net->d.rope_bf16, cosine, sine);
     s->cosine = cosine;
     s->sine = sine;
-    for (int v = 0; v < s->t->n_views; v++) { // the first view is the reference
-        size_t slot = v > 0;
+    for (int v = 0; v < s->t->n_own; v++) { // the first of all views is the reference
+        size_t slot = s->t->first + v > 0;
         set_special(s, v, net->camera_token + slot * c,
                     net->register_token + slot * (NET_SPECIAL - 1) * c);
     }
@@ -392,41 +409,46 @@ static err_t run_aggregator(struct stage *s)
 
 /* ---- memory ---- */
 
-static struct tokens tokens_of(const struct net *net, int n_views, int size)
+static struct tokens tokens_of(const struct net *net, const struct team *team, int n_views,
+                               int size)
 {
     int grid = size / NET_PATCH;
     return (struct tokens){.n_views = n_views,
                            .grid = grid,
                            .n_tokens = NET_SPECIAL + grid * grid,
-                           .embed = net->d.embed};
+                           .embed = net->d.embed,
+                           .first = team_first(team, n_views, team_rank(team)),
+                           .n_own = team_own(team, n_views)};
 }
 
-static size_t stream_floats(const struct tokens *t)
+static size_t stream_floats(const struct tokens *t, int n_views)
 {
-    return (size_t)t->n_views * (size_t)t->n_tokens * (size_t)t->embed;
+    return (size_t)n_views * (size_t)t->n_tokens * (size_t)t->embed;
 }
 
 static err_t layout_tokens(struct tokens *t, struct arena *keep, const struct net *net)
 {
-    size_t n = stream_floats(t);
+    const size_t n = stream_floats(t, t->n_own);
     err_t e = OK;
     for (int k = 0; k < NET_KEEP && !e; k++)
         e = arena_alloc(keep, 2 * n, sizeof(float), &t->keep[k]);
     if (!e && net->d.appearance)
         e = arena_alloc(keep, n, sizeof(float), &t->q);
     if (!e && net->d.appearance)
-        e = arena_alloc(keep, n, sizeof(float), &t->k);
+        e = arena_alloc(keep, stream_floats(t, t->n_views), sizeof(float), &t->k);
     return e;
 }
 
-static err_t layout_stream(struct stage *s, struct arena *tmp, const struct tokens *t)
+static err_t layout_stream(struct stage *s, struct arena *tmp, const struct tokens *t,
+                           const struct team *team)
 {
-    return arena_alloc(tmp, stream_floats(t), sizeof *s->x, &s->x);
+    const size_t rows = block_rows(team, t->n_views, t->n_tokens);
+    return arena_alloc(tmp, rows * (size_t)t->embed, sizeof *s->x, &s->x);
 }
 
 void backbone_plan(struct plan *p, const struct net *net, int n_views, int size)
 {
-    struct tokens t = tokens_of(net, n_views, size);
+    struct tokens t = tokens_of(net, p->team, n_views, size);
     const struct layer_conv conv = patch_conv(net, size);
     const struct block dino = block_of(net, &t, true);
     struct block agg = block_of(net, &t, false);
@@ -435,7 +457,7 @@ void backbone_plan(struct plan *p, const struct net *net, int n_views, int size)
     const size_t mark = arena_mark(&p->tmp);
     err_t e = layout_tokens(&t, &p->keep, net);
     if (!e)
-        e = layout_stream(&s, &p->tmp, &t);
+        e = layout_stream(&s, &p->tmp, &t, p->team);
     const size_t stream = arena_mark(&p->tmp);
     if (!e)
         e = layout_table(&table, &p->tmp, &t);
@@ -456,13 +478,13 @@ void backbone_plan(struct plan *p, const struct net *net, int n_views, int size)
 err_t backbone_run(const struct run *r, const struct net *net, const struct views *v,
                    struct tokens *out)
 {
-    *out = tokens_of(net, v->n, v->size);
+    *out = tokens_of(net, r->team, v->n, v->size);
     struct stage s = {.r = r, .net = net, .v = v, .t = out};
     err_t e = layout_tokens(out, r->keep, net);
     size_t mark = arena_mark(r->tmp);
     s.total = net->d.dino_depth + 2 * net->d.depth;
     if (!e)
-        e = layout_stream(&s, r->tmp, out);
+        e = layout_stream(&s, r->tmp, out, r->team);
     if (!e)
         e = run_dino(&s);
     if (!e)

@@ -315,11 +315,13 @@ err_t camera_run(const struct run *r, const struct net *net, const struct tokens
         e = layout(&trunk, r->tmp, pool_size(r->pool));
     if (!e) {
         const struct norm s = {2 * t->embed, EPS, w->token_norm_g, w->token_norm_b};
-        for (size_t v = 0; v < n; v++)
+        for (size_t v = 0; v < (size_t)t->n_own; v++)
             r->k->net.norm(&s, t->keep[NET_KEEP - 1] + v * (size_t)t->n_tokens * d,
-                           trunk.token + v * d);
-        e = run_rounds(&trunk, out->pose);
+                           trunk.token + ((size_t)t->first + v) * d);
+        e = team_gather(r->team, trunk.token, d * sizeof *trunk.token, t->n_views);
     }
+    if (!e)
+        e = run_rounds(&trunk, out->pose);
     for (size_t v = 0; v < n && !e; v++)
         camera_decode(out->pose + v * NET_POSE, size, out->cams + v);
     if (!e)

@@ -1,5 +1,6 @@
 /* camera.h - cameras of the views from their camera tokens: four rounds of refinement by a small
  * transformer across the views (core/net/README.md 2.4). Activations are floats in every precision.
+ * In a team every rank computes all cameras, from the gathered camera tokens.
  * Invariant: results do not depend on the number of threads. */
 #ifndef NET_CAMERA_H
 #define NET_CAMERA_H

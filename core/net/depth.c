@@ -117,7 +117,7 @@ static err_t run_view(const struct tail *s, int view, float *depth)
         depth[i] = clamped_exp(s->raw[i * (size_t)s->outputs]);
     tap_view(s, view, depth);
     if (s->r->progress)
-        s->r->progress(s->r->progress_ctx, "depth", view + 1, s->t->n_views, NULL);
+        s->r->progress(s->r->progress_ctx, "depth", view - s->t->first + 1, s->t->n_own, NULL);
     return OK;
 }
 
@@ -175,10 +175,10 @@ err_t depth_run(const struct run *r, const struct net *net, const struct tokens 
     err_t e = layout_result(io, r->keep, t->n_views, io->size);
     if (!e)
         e = layout(&s, r->tmp, t->grid);
-    for (int v = 0; v < t->n_views && !e; v++)
+    for (int v = t->first; v < t->first + t->n_own && !e; v++)
         e = run_view(&s, v, io->depth + (size_t)v * n);
     arena_reset(r->tmp, mark);
-    return e;
+    return e ? e : team_gather(r->team, io->depth, n * sizeof *io->depth, t->n_views);
 }
 
 void depth_unproject(const struct geometry *g, int view, float *points)

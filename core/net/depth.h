@@ -1,5 +1,5 @@
 /* depth.h - the depth head: a depth for every pixel of every view, one view at a time, and the
- * points that follow from it (core/net/README.md 2.5 and 2.11).
+ * points that follow from it (core/net/README.md 2.5 and 2.11). In a team the depths are gathered.
  * Pure computation on the pool inside struct run.
  * Invariant: results do not depend on the number of threads. */
 #ifndef NET_DEPTH_H

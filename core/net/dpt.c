@@ -109,7 +109,8 @@ static err_t project_chunk(void *ctx, int chunk, int worker)
                                 num_min(left, LAYER_ROWS), p->t->floats};
     const struct layer_out out = {.out = p->out + (size_t)first * (size_t)w->n,
                                   .ldo = (size_t)w->n};
-    size_t from = (size_t)j->view * (size_t)tokens->n_tokens + NET_SPECIAL + (size_t)first;
+    size_t from =
+        (size_t)(j->view - tokens->first) * (size_t)tokens->n_tokens + NET_SPECIAL + (size_t)first;
     for (int i = 0; i < in.m; i++)
         p->t->r->k->net.norm(&norm, tokens->keep[p->k] + (from + (size_t)i) * width,
                              p->rows + ((size_t)worker * LAYER_ROWS + (size_t)i) * width);

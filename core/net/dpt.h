@@ -14,7 +14,7 @@ struct dpt_job {
     const struct net *net;
     const struct dpt_weights *w;
     const struct tokens *tokens;
-    int view;
+    int view;         // of all; its tokens must be here
     const char *head; // first part of the names of its tapped tensors
 };
 

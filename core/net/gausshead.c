@@ -150,11 +150,12 @@ static err_t guide_detail(const struct head *h)
     return e;
 }
 
-/* A 3x3 convolution with ReLU of one view's tokens. out: (grid, grid, w->n). */
+/* A 3x3 convolution with ReLU of the view's tokens. out: (grid, grid, w->n). */
 static err_t convolve_tokens(const struct head *h, const struct weight *w, const float *tokens,
                              float *out)
 {
-    const float *px = tokens + (size_t)h->view * pixels_of_square(h->grid) * (size_t)h->d;
+    const size_t own = (size_t)(h->view - h->in->tokens->first);
+    const float *px = tokens + own * pixels_of_square(h->grid) * (size_t)h->d;
     const struct layer_map map = {px, h->grid, h->d, false};
     struct layer_conv c = conv_of(w, 3, h->grid, (h->net->floats & NET_FLOAT_HEADS) != 0);
     c.fetch = layer_map_fetch;
@@ -304,6 +305,7 @@ static err_t run_view(struct head *h, float *summary)
     arena_reset(h->r->tmp, mark);
     return e;
 }
+
 static err_t layout_result(struct prediction *out, struct arena *keep)
 {
     err_t e = alloc_floats(keep, (size_t)out->n * (RAW - 1), &out->features);
@@ -373,6 +375,19 @@ void gausshead_plan(struct plan *p, const struct net *net, int n_views, int size
     arena_reset(&p->tmp, begin);
 }
 
+/* The raw Gaussians and summaries of all views. */
+static err_t gather_views(const struct head *h, float *summary)
+{
+    struct team *t = h->r->team;
+    const size_t plane = pixels_of_square(h->size) * sizeof *h->io->features;
+    err_t e = OK;
+    for (int c = 0; c < RAW && !e; c++)
+        e = team_gather(t, metanet_plane(h->io, c, 0, h->size), plane, h->in->views->n);
+    if (!e && h->in->irr)
+        e = team_gather(t, summary, 2 * (size_t)h->d * sizeof *summary, h->in->views->n);
+    return e;
+}
+
 err_t gausshead_run(const struct run *r, const struct net *net, const struct gausshead_in *in,
                     struct prediction *io, float *summary)
 {
@@ -383,6 +398,7 @@ err_t gausshead_run(const struct run *r, const struct net *net, const struct gau
                      .size = in->views->size,
                      .grid = in->tokens->grid,
                      .d = net->d.hdr};
+    const int first = in->tokens->first, own = in->tokens->n_own;
     size_t mark = arena_mark(r->tmp);
     io->n = in->views->n * h.size * h.size;
     io->linear = !in->irr;
@@ -393,12 +409,14 @@ err_t gausshead_run(const struct run *r, const struct net *net, const struct gau
         e = metanet_init(r, net, &h.meta);
     if (!e)
         dpt_code(h.size, h.d, h.code);
-    for (h.view = 0; h.view < in->views->n && !e; h.view++) {
+    for (h.view = first; h.view < first + own && !e; h.view++) {
         e = run_view(&h, summary);
         if (!e && r->progress)
-            r->progress(r->progress_ctx, "gaussians", h.view + 1, in->views->n, NULL);
+            r->progress(r->progress_ctx, "gaussians", h.view - first + 1, own, NULL);
     }
     arena_reset(r->tmp, mark);
+    if (!e)
+        e = gather_views(&h, summary);
     if (!e)
         e = finite_check(r, "gs.raw88", FINITE_MAX, io->features, (size_t)io->n * (RAW - 1));
     return e ? e : finite_check(r, "gs.raw88", FINITE_MAX, io->confidence, (size_t)io->n);

@@ -19,7 +19,8 @@ struct gausshead_in {
     const struct irradiance *irr; // NULL without the appearance branch
 };
 
-/* out:  features and confidence of io in r->keep, and n. summary: (n_views, 2 hdr) for metanet_run,
+/* In a team a rank computes the views that are dealt to it, and what all have computed is gathered.
+ * out:  features and confidence of io in r->keep, and n. summary: (n_views, 2 hdr) for metanet_run,
  *       not written without the appearance branch; then the sensitivities are 0.
  * err:  ERR_NOMEM (see gausshead_plan), ERR_FORMAT (metanet_init), ERR_CANCELLED. */
 MUST_USE err_t gausshead_run(const struct run *r, const struct net *net,

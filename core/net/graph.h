@@ -77,12 +77,15 @@ struct net {
     struct meta_weights meta;
 };
 
-/* Tokens of all views after the backbone. n_tokens = NET_SPECIAL + grid^2 per view. */
+/* Tokens after the backbone, of the views that are dealt to this rank: without a team of all.
+ * n_tokens = NET_SPECIAL + grid^2 per view. */
 struct tokens {
     int n_views, grid, n_tokens, embed;
-    float *keep[NET_KEEP]; // (n_views, n_tokens, 2 embed): frame block, global block
-    float *q, *k; // (heads, n_views n_tokens, embed / heads) of block qk_layer after the norms,
-                  // before rotary embedding; NULL without the appearance branch
+    int first, n_own;      // views [first, first + n_own) of the n_views
+    float *keep[NET_KEEP]; // (n_own, n_tokens, 2 embed): frame block, global block
+    float *q; // (heads, n_own n_tokens, embed / heads) of block qk_layer after the norms, before
+              // rotary embedding; NULL without the appearance branch
+    float *k; // the same of (heads, n_views n_tokens, embed / heads): all views
 };
 
 /* Geometry of the views in the network's own world: near the first camera, arbitrary scale. */
@@ -94,10 +97,10 @@ struct geometry {
     float *depth;        // (n_views, size, size) > 0
 };
 
-/* Fused appearance, tokens of all views (core/net/README.md 2.8). */
+/* Fused appearance (core/net/README.md 2.8). */
 struct irradiance {
     float *code;         // (n_views, hdr) exposure code
-    float *scene, *sens; // (n_views grid^2, hdr)
+    float *scene, *sens; // (n_own grid^2, hdr) of the views of this rank
 };
 
 /* One raw Gaussian per pixel, in the layout of voxel_merge. */

@@ -208,8 +208,11 @@ static bool too_many(int n_views, int size)
     return n_views > INT_MAX / size / size;
 }
 
-static err_t check_views(const struct views *v)
+static err_t check_views(const struct run *r, const struct views *v)
 {
+    if (r->team && r->tap)
+        return err_fail(ERR_UNSUPPORTED, "tensors cannot be inspected where several ranks share "
+                                         "the network: run it in a single process");
     if (v->n < 2)
         return err_fail(ERR_ARG, "the network needs 2 views or more, there is %d", v->n);
     if (v->size < NET_PATCH || v->size % NET_PATCH != 0)
@@ -302,6 +305,7 @@ static err_t plan_gauss(struct plan *p, const struct net *net, int n_views, int 
 void net_plan(struct plan *p, const struct net *net, int n_views, int size)
 {
     struct plan backbone = plan_begin(p->threads);
+    backbone.team = p->team;
     const size_t mark = arena_mark(&p->tmp);
     if (too_many(n_views, size)) {
         plan_refuse(p);
@@ -326,7 +330,7 @@ err_t net_run(const struct run *r, const struct net *net, const struct views *v,
     struct run backbone = *r;
     size_t keep = arena_mark(r->keep), tmp = arena_mark(r->tmp);
     memset(out, 0, sizeof *out);
-    err_t e = check_views(v);
+    err_t e = check_views(r, v);
     if (e)
         return e;
     backbone.keep = r->tmp;

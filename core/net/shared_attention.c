@@ -67,6 +67,7 @@ static void add_head(const struct shared_attention *a, int head, size_t at, int 
                      const struct shared_attention_workspace *room)
 {
     const struct gemm_kernels *k = &a->r->k->net;
+    const size_t queries = (size_t)a->t->n_own * (size_t)a->t->n_tokens;
     float scale[SHARED_ATTENTION_ROWS], top[SHARED_ATTENTION_ROWS], sum[SHARED_ATTENTION_ROWS],
         rescale[SHARED_ATTENTION_ROWS], weigh[SHARED_ATTENTION_ROWS];
     const size_t width = (size_t)a->head, pitch = shared_attention_pitch(a);
@@ -79,7 +80,7 @@ static void add_head(const struct shared_attention *a, int head, size_t at, int 
                                .panels = a->key_panels,
                                .segs = 1,
                                .seg = a->head,
-                               .a = a->t->q + ((size_t)head * (size_t)a->keys + at) * width,
+                               .a = a->t->q + ((size_t)head * queries + at) * width,
                                .lda = width,
                                .w = a->panels + (size_t)head * pitch * width,
                                .ldw = PANEL * width,
@@ -171,29 +172,37 @@ static err_t search_block(void *ctx, int chunk, int worker)
     const int view = chunk / blocks_of_view(a),
               first = chunk % blocks_of_view(a) * SHARED_ATTENTION_ROWS;
     const int rows = a->m - first < SHARED_ATTENTION_ROWS ? a->m - first : SHARED_ATTENTION_ROWS;
-    const int n_views = s->out->n_views;
+    const int n_views = s->out->n_views, m = a->m, first_query = (a->t->first + view) * m + first;
     err_t e = shared_attention_rows(a, view, first, rows, room);
     for (int i = 0; i < rows && !e; i++)
         for (int v = 0; v < n_views; v++) {
-            const size_t query = (size_t)view * (size_t)a->m + (size_t)(first + i);
+            const size_t query = (size_t)(first_query + i);
             const size_t at = (query * (size_t)n_views + (size_t)v) * CORRESPONDENCE_BEST;
             const float *weight = room->sum + (size_t)i * shared_attention_pitch(a) +
-                                  (size_t)v * (size_t)(a->m + NET_SPECIAL) + NET_SPECIAL;
-            pick_best(weight, a->m, s->out->token + at, s->out->share + at);
+                                  (size_t)v * (size_t)(m + NET_SPECIAL) + NET_SPECIAL;
+            pick_best(weight, m, s->out->token + at, s->out->share + at);
         }
     return e;
 }
 
+/* Of one view. */
 static size_t count_entries(int n_views, int m)
 {
-    return (size_t)n_views * (size_t)n_views * (size_t)m * CORRESPONDENCE_BEST;
+    return (size_t)n_views * (size_t)m * CORRESPONDENCE_BEST;
 }
 
 static err_t layout_result(struct correspondence *out, struct arena *keep, int m)
 {
-    const size_t n = count_entries(out->n_views, m);
+    const size_t n = (size_t)out->n_views * count_entries(out->n_views, m);
     err_t e = arena_alloc(keep, n, sizeof *out->token, &out->token);
     return e ? e : arena_alloc(keep, n, sizeof *out->share, &out->share);
+}
+
+static err_t gather_result(struct team *t, const struct correspondence *out, int m)
+{
+    const size_t n = count_entries(out->n_views, m);
+    err_t e = team_gather(t, out->token, n * sizeof *out->token, out->n_views);
+    return e ? e : team_gather(t, out->share, n * sizeof *out->share, out->n_views);
 }
 
 static err_t layout(struct search *s, struct arena *tmp, int threads)
@@ -230,7 +239,9 @@ err_t shared_attention_run(const struct run *r, const struct net_dims *d, const 
     if (!e)
         e = shared_attention_init(r, t, &s.a);
     if (!e)
-        e = pool_for(r->pool, t->n_views * blocks_of_view(&s.a), search_block, &s);
+        e = pool_for(r->pool, t->n_own * blocks_of_view(&s.a), search_block, &s);
+    if (!e)
+        e = gather_result(r->team, out, s.a.m);
     arena_reset(r->tmp, tmp);
     if (e) {
         arena_reset(r->keep, keep);

@@ -41,13 +41,13 @@ MUST_USE err_t shared_attention_workspace_init(const struct shared_attention *a,
                                                struct arena *arena,
                                                struct shared_attention_workspace *out);
 
-/* Attention of the queries [first, first + rows) of a view, into room->sum.
+/* Attention of the queries [first, first + rows) of a view of this rank, into room->sum.
  * err:  ERR_CANCELLED. */
 MUST_USE err_t shared_attention_rows(const struct shared_attention *a, int view, int first,
                                      int rows, const struct shared_attention_workspace *room);
 
 /* For every patch its best tokens in every other view, with their share of the attention that goes
- * to that view.
+ * to that view; in a team gathered.
  * out:  lives in r->keep.
  * err:  ERR_NOMEM (see shared_attention_plan), ERR_CANCELLED. On error *out is zeroed. */
 MUST_USE err_t shared_attention_run(const struct run *r, const struct net_dims *d,

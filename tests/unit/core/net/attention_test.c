@@ -42,6 +42,7 @@ static void open_world(struct attention shape, float reach)
     memset(&t, 0, sizeof t);
     kernels_init(&t.kernels, cpu_detect());
     t.a = shape;
+    t.a.q_len = shape.len;
     t.a.k = &t.kernels.net;
     size_t c = (size_t)(t.a.heads * t.a.width), n = (size_t)t.a.seqs * (size_t)t.a.len * 3 * c;
     struct arena need = arena_counter();
@@ -73,7 +74,8 @@ static void store_all(void)
         for (int first = 0; first < t.a.len; first += ATTENTION_KEYS) {
             int left = t.a.len - first;
             struct attention_span span = {s, first, left < ATTENTION_KEYS ? left : ATTENTION_KEYS};
-            attention_store(&t.a, &span, at(s, first, 0, 0), &t.room);
+            attention_store_queries(&t.a, &span, at(s, first, 0, 0));
+            attention_store_block(&t.a, &span, at(s, first, 0, 0), &t.room);
         }
 }
 

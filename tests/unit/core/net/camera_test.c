@@ -140,7 +140,8 @@ static err_t run(enum precision precision, int views, int threads)
     assert_int_equal(arena_init(&t.tmp, "tmp", tmp), OK);
     assert_int_equal(pool_open(&t.pool, threads), OK);
     t.r = (struct run){.k = &t.kernels, .pool = t.pool, .keep = &t.keep, .tmp = &t.tmp};
-    t.tokens = (struct tokens){.n_views = views, .grid = 2, .n_tokens = TOKENS, .embed = EMBED};
+    t.tokens = (struct tokens){
+        .n_views = views, .grid = 2, .n_tokens = TOKENS, .embed = EMBED, .n_own = views};
     t.tokens.keep[NET_KEEP - 1] = t.last;
     for (size_t i = 0; i < sizeof t.last / sizeof *t.last; i++)
         t.last[i] = (float)(i * 2654435761u % 65536) / 32768 - 1;

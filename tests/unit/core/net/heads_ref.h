@@ -71,8 +71,11 @@ static inline void ref_inputs(void)
 {
     static float log2t[REF_VIEWS] = {-1, 0.5f, 2};
     int m = REF_GRID * REF_GRID, c = ref.net.d.embed;
-    ref.tokens = (struct tokens){
-        .n_views = REF_VIEWS, .grid = REF_GRID, .n_tokens = NET_SPECIAL + m, .embed = c};
+    ref.tokens = (struct tokens){.n_views = REF_VIEWS,
+                                 .grid = REF_GRID,
+                                 .n_tokens = NET_SPECIAL + m,
+                                 .embed = c,
+                                 .n_own = REF_VIEWS};
     size_t n = (size_t)REF_VIEWS * (size_t)(NET_SPECIAL + m) * (size_t)c;
     for (int k = 0; k < NET_KEEP; k++)
         ref.tokens.keep[k] = ref_random(2 * n, 1);
