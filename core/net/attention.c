@@ -42,13 +42,12 @@ static struct stored block_at(const struct attention *a, size_t head, int first)
 {
     const size_t w = (size_t)a->width, half = ATTENTION_KEYS * w * elem_of(a);
     const size_t block = head * (size_t)attention_blocks(a) + (size_t)(first / ATTENTION_KEYS);
-    char *at = a->blocks + block * attention_block_bytes(a);
-    float *scales = (float *)(at + 2 * half);
+    char *at = a->blocks + block * attention_block_bytes(a), *scales = at + 2 * half;
     return (struct stored){.key = at,
                            .value = at + half,
-                           .key_scale = scales,
-                           .value_scale = scales + ATTENTION_KEYS,
-                           .shift = (int32_t *)(scales + ATTENTION_KEYS + w)};
+                           .key_scale = (void *)scales,
+                           .value_scale = (void *)(scales + ATTENTION_KEYS * sizeof(float)),
+                           .shift = (void *)(scales + (ATTENTION_KEYS + w) * sizeof(float))};
 }
 
 err_t attention_init(struct attention *a, struct arena *arena)
