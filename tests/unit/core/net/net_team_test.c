@@ -3,6 +3,7 @@
  * formulas of core/net/README.md 2.13. */
 #include "core/net/net.h"
 
+#include "core/net/backbone.h"
 #include "tests/unit/core/base/team_local.h"
 #include "tests/unit/core/net/net_world.h"
 
@@ -30,7 +31,7 @@ static struct {
     float log2t[VIEWS_MAX];
     struct views v;
     int threads;
-    bool tapped;
+    bool tapped, backbone; // backbone: nothing after it
     struct rank_end end[RANKS_MAX];
 } t;
 
@@ -39,7 +40,7 @@ static void open_network(const struct net_dims *d, enum precision precision, uns
     net_world_bind(&t.world, d, precision, floats);
     t.world.net.attend = d->appearance;
     t.threads = 1;
-    t.tapped = false;
+    t.tapped = t.backbone = false;
     for (size_t i = 0; i < sizeof t.rgb; i++)
         t.rgb[i] = (uint8_t)(i * 2654435761u >> 24);
     for (int i = 0; i < VIEWS_MAX; i++)
@@ -89,6 +90,7 @@ static err_t run_planned(struct team *team, struct arena *keep, struct arena *tm
     const struct tap tap = {.put = ignore_tap};
     struct pool *pool;
     struct prediction out;
+    struct tokens tokens;
     err_t e = pool_open(&pool, t.threads);
     if (e)
         return e;
@@ -98,9 +100,10 @@ static err_t run_planned(struct team *team, struct arena *keep, struct arena *tm
                           .keep = keep,
                           .tmp = tmp,
                           .tap = t.tapped ? &tap : NULL};
-    e = net_run(&r, &t.world.net, &t.v, &out);
+    e = t.backbone ? backbone_run(&r, &t.world.net, &t.v, &tokens)
+                   : net_run(&r, &t.world.net, &t.v, &out);
     pool_close(pool);
-    if (!e)
+    if (!e && !t.backbone)
         t.end[team_rank(team)].hash = hash_of(&out);
     return e;
 }
@@ -112,7 +115,10 @@ static err_t run_rank(void *ctx, struct team *team)
     struct arena keep = {0}, tmp = {0};
     (void)ctx;
     plan.team = team;
-    net_plan(&plan, &t.world.net, t.v.n, t.v.size);
+    if (t.backbone)
+        backbone_plan(&plan, &t.world.net, t.v.n, t.v.size);
+    else
+        net_plan(&plan, &t.world.net, t.v.n, t.v.size);
     err_t e = arena_init(&keep, "keep", plan.keep.peak);
     if (!e)
         e = arena_init(&tmp, "tmp", plan.tmp.peak);
@@ -251,6 +257,20 @@ static void less_memory_on_each(void **state)
     small_model_free(&t.world.model);
 }
 
+/* The largest step of the backbone is a global block, also where a rank has no views. */
+static void backbone_as_planned(void **state)
+{
+    (void)state;
+    open_network(&small_model_tiny, PRECISION_S8, 0);
+    t.backbone = true;
+    for (int n = 1; n <= RANKS_MAX; n++) {
+        assert_int_equal(run_ranks(n, unequal, VIEWS_MAX, SIZE_MAX_PX), OK);
+        for (int i = 0; i < n; i++)
+            assert_true(t.end[i].keep == t.end[i].keep_plan && t.end[i].tmp == t.end[i].tmp_plan);
+    }
+    small_model_free(&t.world.model);
+}
+
 /* ---- bytes: core/net/README.md 2.13 ---- */
 
 /* Blocks of 128 tokens that begin among those of the views [first, end), and tokens at their
@@ -317,7 +337,8 @@ int main(void)
         cmocka_unit_test(any_ranks_and_views), cmocka_unit_test(any_arithmetic),
         cmocka_unit_test(any_threads),         cmocka_unit_test(other_heads),
         cmocka_unit_test(many_heads),          cmocka_unit_test(less_memory_on_each),
-        cmocka_unit_test(bytes_by_formula),    cmocka_unit_test(taps_are_refused),
+        cmocka_unit_test(backbone_as_planned), cmocka_unit_test(bytes_by_formula),
+        cmocka_unit_test(taps_are_refused),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
