@@ -292,7 +292,8 @@ static err_t reconstruct_inputs(struct state *st, struct request *rq)
     if (!e)
         job.size = recipe_size(&job, &st->train.capture);
     if (!e)
-        e = job_plan(&st->train.capture, &job, pool_size(st->engine.pool), false, &need);
+        e = job_plan(&st->train.capture, &job, pool_size(st->engine.pool), false,
+                     st->engine.run.team, &need);
     if (e)
         return e;
     const struct recipe recipe = recipe_choose(&st->train.capture, &job, false);

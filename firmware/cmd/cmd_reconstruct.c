@@ -120,6 +120,13 @@ static bool fits_memory(const struct job_memory *m, int limit_mb)
     return (double)arena_add(files, arenas) <= limit_mb * 1e6;
 }
 
+static err_t plan_memory(const struct request *rq, const struct state *st, const struct capture *c,
+                         const struct job_config *job, struct job_memory *out)
+{
+    const struct engine *en = &st->engine;
+    return job_plan(c, job, pool_size(en->pool), rq->dump != NULL, en->run.team, out);
+}
+
 /* The largest size up to the one asked for that fits into the memory allowed; 0: none above that of
  * cameras and depth. */
 static int largest_size(const struct request *rq, const struct state *st,
@@ -128,11 +135,21 @@ static int largest_size(const struct request *rq, const struct state *st,
     struct job_config less = *job;
     struct job_memory m;
     for (; less.size > recipe_work(job); less.size -= less.size / 16)
-        if (job_plan(&st->set.capture, &less, pool_size(st->engine.pool), rq->dump != NULL, &m) ==
-                OK &&
+        if (plan_memory(rq, st, &st->set.capture, &less, &m) == OK &&
             fits_memory(&m, config_memory_mb(&rq->cfg)))
             return less.size;
     return 0;
+}
+
+/* The size that all ranks have memory for. */
+static err_t agree_size(struct team *t, int *size)
+{
+    int all[TEAM_MAX] = {0};
+    all[team_rank(t)] = *size;
+    err_t e = team_collect(t, all, sizeof *all);
+    for (int i = 0; i < team_size(t) && !e; i++)
+        *size = num_min(*size, all[i]);
+    return e;
 }
 
 static err_t reserve_memory(const struct request *rq, struct state *st,
@@ -148,7 +165,7 @@ static err_t reserve_memory(const struct request *rq, struct state *st,
     if (size > 0)
         return err_fail(ERR_LIMIT, "%s; --size %d would fit", err_text(), size);
     for (fewer.n--; prep_places(&fewer) >= 2; fewer.n--) {
-        e = job_plan(&fewer, job, pool_size(st->engine.pool), rq->dump != NULL, &m);
+        e = plan_memory(rq, st, &fewer, job, &m);
         if (e)
             return e;
         if (fits_memory(&m, limit))
@@ -181,10 +198,12 @@ static err_t prepare_job(struct request *rq, struct state *st, struct job_config
         log_warn("exposures are not known for all pictures: none is used");
     if (!e)
         dump_exposures(rq->dump_exposures, &st->set.capture, job->dump_log2t);
-    if (!e && rq->cfg.size == CONFIG_SIZE_AUTO)
+    if (!e && rq->cfg.size == CONFIG_SIZE_AUTO) {
         job->size = num_max(largest_size(rq, st, job), num_min(job->size, recipe_work(job)));
+        e = agree_size(st->engine.run.team, &job->size);
+    }
     if (!e)
-        e = job_plan(&st->set.capture, job, pool_size(st->engine.pool), rq->dump != NULL, &need);
+        e = plan_memory(rq, st, &st->set.capture, job, &need);
     return e ? e : reserve_memory(rq, st, job, &need);
 }
 

@@ -269,13 +269,14 @@ static void plan_steps(struct plan *p, const struct capture *c, const struct job
 }
 
 err_t job_plan(const struct capture *c, const struct job_config *cfg, int threads, bool tapped,
-               struct job_memory *out)
+               const struct team *team, struct job_memory *out)
 {
     err_t e = check_capture(c);
     if (e)
         return e;
     const struct recipe recipe = recipe_choose(c, cfg, tapped);
     struct plan p = plan_begin(threads);
+    p.team = team;
     struct views small = {.extent = NULL}, large = {.extent = NULL};
     e = recipe_check(&recipe, c);
     if (!e)

@@ -10,10 +10,11 @@
 
 /* Memory of a job, before a pixel is decoded; the capture needs only names, sizes and cameras.
  * `c` is refused here if it cannot become a scene: fewer than two views, some cameras known and
- * some not, more views or smaller ones than cameras can be found for. tapped: run.tap will be set.
+ * some not, more views or smaller ones than cameras can be found for. threads, tapped, team: of the
+ * run to come; a rank needs memory for its own part.
  * err:  ERR_ARG. */
 MUST_USE err_t job_plan(const struct capture *c, const struct job_config *cfg, int threads,
-                        bool tapped, struct job_memory *out);
+                        bool tapped, const struct team *team, struct job_memory *out);
 
 /* Reconstruct a scene from photographs. The arenas are as large as planned.
  * err:  those of the steps. On error only the times in *out are valid. */

@@ -35,17 +35,17 @@ static void refusals(void **state)
     struct job_memory m;
     struct job_config cfg = config(56, 1000);
     struct capture c = capture(1, 100);
-    assert_int_equal(job_plan(&c, &cfg, 1, false, &m), ERR_ARG);
+    assert_int_equal(job_plan(&c, &cfg, 1, false, NULL, &m), ERR_ARG);
     assert_non_null(strstr(err_text(), "1 view"));
     c = capture(0, 100);
-    assert_int_equal(job_plan(&c, &cfg, 1, false, &m), ERR_ARG);
+    assert_int_equal(job_plan(&c, &cfg, 1, false, NULL, &m), ERR_ARG);
     c = capture(2, 100); // two exposures of one place
     shots[1].again = true;
-    assert_int_equal(job_plan(&c, &cfg, 1, false, &m), ERR_ARG);
+    assert_int_equal(job_plan(&c, &cfg, 1, false, NULL, &m), ERR_ARG);
     assert_non_null(strstr(err_text(), "1 view"));
     c = capture(3, 100);
     shots[1].has_camera = false;
-    assert_int_equal(job_plan(&c, &cfg, 1, false, &m), ERR_ARG);
+    assert_int_equal(job_plan(&c, &cfg, 1, false, NULL, &m), ERR_ARG);
     assert_non_null(strstr(err_text(), "view1.png"));
     assert_non_null(strstr(err_text(), "--rig"));
 }
@@ -57,18 +57,18 @@ static void what_cameras_cannot_be_found_for(void **state)
     struct job_memory m;
     struct job_config cfg = config(70, 1000);
     struct capture c = capture(300, 100);
-    assert_int_equal(job_plan(&c, &cfg, 1, false, &m), OK);
+    assert_int_equal(job_plan(&c, &cfg, 1, false, NULL, &m), OK);
     for (int i = 0; i < 300; i++)
         shots[i].has_camera = false;
-    assert_int_equal(job_plan(&c, &cfg, 1, false, &m), ERR_ARG);
+    assert_int_equal(job_plan(&c, &cfg, 1, false, NULL, &m), ERR_ARG);
     assert_non_null(strstr(err_text(), "300 views, cameras can be found for at most 64"));
     assert_non_null(strstr(err_text(), "--rig"));
     c.n = 65;
-    assert_int_equal(job_plan(&c, &cfg, 1, false, &m), ERR_ARG);
+    assert_int_equal(job_plan(&c, &cfg, 1, false, NULL, &m), ERR_ARG);
     c.n = 64;
-    assert_int_equal(job_plan(&c, &cfg, 1, false, &m), OK);
+    assert_int_equal(job_plan(&c, &cfg, 1, false, NULL, &m), OK);
     cfg.size = 56;
-    assert_int_equal(job_plan(&c, &cfg, 1, false, &m), ERR_ARG);
+    assert_int_equal(job_plan(&c, &cfg, 1, false, NULL, &m), ERR_ARG);
     assert_non_null(strstr(err_text(), "views of 56 px are too small"));
     assert_non_null(strstr(err_text(), "--size 64"));
 }
@@ -77,7 +77,7 @@ static size_t total(int n, int side, struct job_config cfg, int threads)
 {
     struct job_memory m;
     struct capture c = capture(n, side);
-    assert_int_equal(job_plan(&c, &cfg, threads, false, &m), OK);
+    assert_int_equal(job_plan(&c, &cfg, threads, false, NULL, &m), OK);
     return arena_add(m.pictures, arena_add(m.keep, m.tmp));
 }
 
@@ -87,7 +87,7 @@ static void memory_grows_with_the_work(void **state)
     struct job_memory m;
     struct capture c = capture(4, 1000);
     struct job_config cfg = config(112, 20000);
-    assert_int_equal(job_plan(&c, &cfg, 2, false, &m), OK);
+    assert_int_equal(job_plan(&c, &cfg, 2, false, NULL, &m), OK);
     assert_true(m.pictures >= 4u * 3000000 && m.pictures < 4u * 3000000 + 10000);
     size_t base = total(4, 1000, cfg, 2);
     assert_true(base > 10e6 && base < 200e6);
@@ -108,7 +108,7 @@ static void exposures_are_cheaper_than_places(void **state)
     size_t few = total(4, 200, cfg, 2), many = total(12, 200, cfg, 2), photo = 112 * 112 * 3;
     for (int i = 0; i < 12; i++)
         shots[i].again = i % 3 > 0;
-    assert_int_equal(job_plan(&c, &cfg, 2, false, &m), OK);
+    assert_int_equal(job_plan(&c, &cfg, 2, false, NULL, &m), OK);
     size_t brackets = arena_add(m.pictures, arena_add(m.keep, m.tmp));
     assert_true(brackets > few + 8 * (200 * 200 * 3 + photo));
     assert_true(brackets < few + 8 * (200 * 200 * 3 + 4 * photo) && brackets < many);
@@ -122,12 +122,12 @@ static void pixels_read_later_take_less(void **state)
     struct job_memory all, two;
     struct job_config cfg = config(112, 20000);
     struct capture c = capture(6, 1000);
-    assert_int_equal(job_plan(&c, &cfg, 2, false, &all), OK);
+    assert_int_equal(job_plan(&c, &cfg, 2, false, NULL, &all), OK);
     cfg.source = &from;
-    assert_int_equal(job_plan(&c, &cfg, 2, false, &two), OK);
+    assert_int_equal(job_plan(&c, &cfg, 2, false, NULL, &two), OK);
     assert_true(two.pictures >= 2 * 3000000 && 3 * two.pictures == all.pictures);
     assert_true(two.keep == all.keep && two.tmp == all.tmp);
-    assert_int_equal(job_plan(&c, &cfg, 7, false, &two), OK);
+    assert_int_equal(job_plan(&c, &cfg, 7, false, NULL, &two), OK);
     assert_int_equal(two.pictures, all.pictures);
 }
 

@@ -44,7 +44,7 @@ static size_t run_job(const struct capture *c, int threads, float *out)
     struct engine engine;
     struct job_memory need;
     assert_int_equal(engine_open(&engine, threads), OK);
-    assert_int_equal(job_plan(c, &cfg, threads, false, &need), OK);
+    assert_int_equal(job_plan(c, &cfg, threads, false, NULL, &need), OK);
     assert_int_equal(engine_reserve(&engine, need.pictures, need.keep, need.tmp, 1000), OK);
     assert_int_equal(job_run(&engine.run, c, &cfg, &result), OK);
     const struct gaussians *g = &result.scene.g;

@@ -199,7 +199,7 @@ static bool run_job(const struct kind *k)
     struct draw draw;
     assert_int_equal(engine_open(&en, THREADS), OK);
     en.run.tap = k->dump ? &tap : NULL;
-    assert_int_equal(job_plan(&c, &cfg, THREADS, k->dump, &need), OK);
+    assert_int_equal(job_plan(&c, &cfg, THREADS, k->dump, NULL, &need), OK);
     assert_int_equal(engine_reserve(&en, 0, 2 * need.keep, 2 * need.tmp, MEMORY_MB), OK);
     err_t e = job_run(&en.run, &c, &cfg, &result);
     if (!e)
