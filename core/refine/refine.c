@@ -20,10 +20,8 @@
 #include "core/base/splitmix.h"
 #include "core/photo/noise.h"
 #include "core/photo/shade.h"
-#include "core/refine/density.h"
-#include "core/refine/loss.h"
 #include "core/refine/part.h"
-#include "core/refine/pyramid.h"
+#include "core/refine/refine_inner.h"
 #include "core/sfm/pose.h"
 #include "core/splat/raster.h"
 
@@ -32,7 +30,7 @@
 #include <stdio.h>
 #include <string.h>
 
-enum { HELD_PX = 32, HELD_ONE_IN = 24, ROUND_MIN = 50, GROUPS = 6, PATIENCE = 4 };
+enum { HELD_PX = 32, HELD_ONE_IN = 24, ROUND_MIN = 50, PATIENCE = 4 };
 enum { SPLITS_VAIN = 2 };            // rounds of splits that have not helped
 enum { MEASURE_STEPS = 8 };          // per view, between two measurements of the scene
 enum { EDGE_MIN = 4 * LOSS_WINDOW }; // px of a view that is drawn smaller
@@ -60,53 +58,6 @@ struct rates {
  * extent. */
 static const struct rates RATES = {12 * 1.6e-4f, 6 * 5e-3f,     12 * 1e-3f, 5e-2f,
                                    16 * 2.5e-3f, 40 * 1.25e-4f, 2.5e-4f,    1e-5f};
-
-/* The scene with the lowest held-out error of the rounds at full size; step 0: none yet. */
-struct best {
-    float db;
-    int step;
-    struct gaussians g;
-    struct tonemap tone;
-    struct camera *cams; // (n)
-};
-
-struct refine {
-    const struct run *r;
-    const struct views *v;
-    const struct refine_config *cfg;
-    struct scene *s;
-    struct refine_report *rep;
-    struct density d;
-    struct raster raster;
-    struct loss loss_work;
-    struct render pic;
-    struct pyramid photos;
-    uint8_t *held;          // (n, squares, squares)
-    int held_px, squares;   // edge of a square; squares of the longest edge
-    double *photo_sse;      // (photographs) held-out squared error of the last comparisons
-    double *photo_n;        // (photographs) number of these values
-    int *shuffled, n_drawn; // (n) order of the views in this round
-    uint64_t rng;
-    float extent; // scene units
-    int step, steps;
-    int levels, level; // pictures of level k are 2^k times smaller
-    float loss;        // sum since the start of the round
-    int band_from;     // step at which the highest band was added, 0 = none on trial
-    bool bands_done, splits_done;
-    float noise_db;               // of the photographs, as a PSNR
-    float best_db;                // held-out, at full size, as drawn in the rounds
-    float split_db;               // the highest before a split at split_level
-    int split_level, splits_vain; // splits since
-    int measured;                 // step of the last comparison with the best scene
-    struct best best;
-    int stalled; // rounds without progress
-    struct pace pace;
-    double began, ready, expected; // s: by the clock; of the steps done, as timed in advance
-    float tone_m1[TONE_PARAMS], tone_m2[TONE_PARAMS];
-    float *pose_m; // (n, 12) moments of the twists
-    int *pose_t;   // (n) steps of each camera
-    struct adam_step group[GROUPS];
-};
 
 static float random_uniform(struct refine *f)
 {
@@ -171,7 +122,7 @@ static err_t layout(struct refine *f, struct arena *a, int threads)
     if (!e)
         e = arena_zalloc(a, all, 8, &f->photo_n);
     if (!e)
-        e = arena_alloc(a, n, 4, &f->shuffled);
+        e = arena_zalloc(a, n, 4, &f->shuffled);
     if (!e)
         e = arena_zalloc(a, n * 12, 4, &f->pose_m);
     if (!e)
@@ -237,13 +188,13 @@ static float progress_of(const struct refine *f)
 static void set_rates(struct refine *f)
 {
     float slow = powf(0.1f, progress_of(f)), fast = slow * slow;
-    const float lr[GROUPS] = {RATES.mean * f->extent * fast,
-                              RATES.scale * slow,
-                              RATES.quat * slow,
-                              RATES.logit * slow,
-                              RATES.sh0 * slow,
-                              RATES.sh * slow};
-    for (int i = 0; i < GROUPS; i++)
+    const float lr[REFINE_GROUPS] = {RATES.mean * f->extent * fast,
+                                     RATES.scale * slow,
+                                     RATES.quat * slow,
+                                     RATES.logit * slow,
+                                     RATES.sh0 * slow,
+                                     RATES.sh * slow};
+    for (int i = 0; i < REFINE_GROUPS; i++)
         set_rate(&f->group[i], lr[i], f->step + 1);
 }
 
@@ -434,11 +385,18 @@ static err_t learn_view(struct refine *f)
     return OK;
 }
 
+/* A saved state is that between two steps. */
 static err_t take_step(struct refine *f)
 {
+    const struct run *r = f->r;
+    struct run whole = *r;
     err_t e = OK;
+    if (f->cfg->saver)
+        whole.cancel = NULL;
+    f->r = &whole;
     for (int k = 0; k < draws_of(f) && !e; k++)
         e = learn_view(f);
+    f->r = r;
     return e;
 }
 
@@ -711,15 +669,20 @@ static err_t end_round(struct refine *f, int round)
     return OK;
 }
 
-static err_t run_steps(struct refine *f)
+/* What is known before the first step. */
+static err_t begin_steps(struct refine *f)
 {
-    int round = round_of(f->v->n);
     err_t e = noise_run(f->r, f->v, &f->noise_db);
     if (!e)
         e = limit_steps(f);
-    if (!e)
-        e = measure_held_out(f, &f->rep->held_out_db[0]);
-    for (f->step = 0; f->step < f->steps && !e;) {
+    return e ? e : measure_held_out(f, &f->rep->held_out_db[0]);
+}
+
+static err_t run_steps(struct refine *f)
+{
+    int round = round_of(f->v->n);
+    err_t e = OK;
+    while (f->step < f->steps && !e) {
         f->level = pace_level(f->step, f->steps, f->levels);
         e = take_step(f);
         f->expected += f->pace.seconds[f->level];
@@ -728,6 +691,8 @@ static err_t run_steps(struct refine *f)
             e = end_round(f, round);
         if (!e)
             e = update_bands(f);
+        if (!e)
+            e = refine_state_keep(f);
     }
     if (!e && f->band_from > 0)
         e = judge_band(f);
@@ -741,6 +706,7 @@ err_t refine_run(const struct run *r, const struct views *v, const struct refine
 {
     memset(out, 0, sizeof *out);
     size_t mark = arena_mark(r->tmp);
+    bool resumed = false;
     struct refine f = {.r = r,
                        .v = v,
                        .cfg = cfg,
@@ -758,13 +724,18 @@ err_t refine_run(const struct run *r, const struct views *v, const struct refine
     err_t e = layout(&f, r->tmp, pool_size(r->pool));
     if (!e)
         e = pyramid_run(r->pool, &f.photos);
+    if (!e)
+        e = refine_state_begin(&f, &resumed);
     if (!e) {
         choose_held(&f);
         f.extent = pose_extent(&io->g, io->cams, io->n_views);
         density_prune(&f.d, 0.01f); // core/refine/README.md 1, D
         density_sort(&f.d);
-        e = run_steps(&f);
     }
+    if (!e)
+        e = resumed ? refine_state_load(&f) : begin_steps(&f);
+    if (!e)
+        e = run_steps(&f);
     out->gaussians = io->g.n;
     out->degree = io->g.degree;
     arena_reset(r->tmp, mark);

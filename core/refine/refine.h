@@ -14,6 +14,19 @@
 
 enum { REFINE_LEVELS = PACE_LEVELS };
 
+/* Keeps the state of a refinement, so that one that was interrupted goes on to the same bytes. The
+ * callbacks are those of the thread that runs the job; they handle their own errors. */
+struct refine_saver {
+    void *ctx;
+    /* Asked between two steps. ends: the run was cancelled and stops here. returns: whether the
+     * state shall be saved now: put for one piece after another, then end. */
+    bool (*begin)(void *ctx, int step, bool ends);
+    void (*put)(void *ctx, const void *p, size_t n);
+    void (*end)(void *ctx);
+    const void *state; // such bytes, to go on from; NULL: none. Hostile: they are checked
+    size_t bytes;
+};
+
 struct refine_config {
     int steps;         // 0..100000; 0 leaves the scene as it is
     int degree_max;    // highest SH degree that may be added, 0..4
@@ -24,6 +37,7 @@ struct refine_config {
     int levels; // 1..REFINE_LEVELS: the first steps see pictures 2^(levels - 1) times smaller, then
                 // ever larger ones; fewer where these would be too small, or the steps too few
     double seconds; // that refine_run may take by run.clock: as many steps as fit; 0: any
+    const struct refine_saver *saver; // of rank 0; NULL: none. Without `seconds`
 };
 
 enum { REFINE_NOTES = 8 };
@@ -48,8 +62,9 @@ size_t refine_plan(const struct views *v, const struct refine_config *cfg, int t
 int refine_begin(const struct refine_config *cfg, int places);
 
 /* Optimise *io. io->g must have planes for cfg->degree_max; io->cams and io->log2t are those of the
- * views.
- * err: ERR_ARG, ERR_NOMEM, ERR_CANCELLED (then *io is valid, partly optimised). */
+ * views. With a saver a step is not cancelled in between.
+ * err: ERR_ARG (also: the saver's state is of another job), ERR_FORMAT (it is damaged), ERR_NOMEM,
+ *      ERR_CANCELLED (then *io is valid, partly optimised). */
 MUST_USE err_t refine_run(const struct run *r, const struct views *v,
                           const struct refine_config *cfg, struct scene *io,
                           struct refine_report *out);

@@ -24,6 +24,7 @@ static const struct mark {
      "<meta name=\"generator\" content=\"" ORIGIN_GENERATOR "\">"}, // viewer.h
     {4, "ftyp", ORIGIN_COMMENT},                                    // video.h
     {0, "# measured by hdrig calibrate\n", ""},                     // calib.h
+    {0, "hdrig checkpoint", ""},                                    // firmware/result/resume.h
     {0, "%PDF-1.4\n% " ORIGIN_COMMENT "\n", ""},                    // boardpdf.h
 };
 

@@ -43,6 +43,8 @@ static const struct key keys[] = {
     {"seed", FIELD(seed), 0, 2147483647, 1, 0, "seed of the random numbers", WHOLE, NULL, 0},
     {"job.budget_s", FIELD(job_budget_s), 0, 86400, 1, 0,
      "seconds that a scene should take: size and steps are chosen for it; 0 = any", WHOLE, NULL, 0},
+    {"job.checkpoint_s", FIELD(job_checkpoint_s), 0, 86400, 1, 30,
+     "seconds between two checkpoints, which --resume goes on from; 0 = none", WHOLE, NULL, 0},
     {"refine.steps", FIELD(refine_steps), 0, 100000, 1, 1000, "steps of refinement, 0 = none",
      WHOLE, NULL, 0},
     {"refine.sh_degree_max", FIELD(refine_sh_degree_max), 0, 4, 1, 4,

@@ -32,7 +32,8 @@ struct config {
     int max_memory_mb; // MB (10^6 bytes); 0 = by the machine, see config_memory_mb
     int size;          // px, longer edge of the pictures that scenes are made of, or CONFIG_SIZE_
     int seed;
-    int job_budget_s; // 0: any
+    int job_budget_s;     // 0: any
+    int job_checkpoint_s; // 0: none
     int refine_steps;
     int refine_sh_degree_max; // 0..4
     int refine_gaussians_max;

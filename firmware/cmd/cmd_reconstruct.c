@@ -2,6 +2,7 @@
 #include "firmware/cmd/cmd.h"
 #include "firmware/recon/dump.h"
 #include "firmware/result/publish.h"
+#include "firmware/result/resume.h"
 
 #include "core/base/log.h"
 #include "core/base/num.h"
@@ -19,7 +20,7 @@ struct request {
     struct cmd_model model;
     const char *out, *json, *dump, *dump_exposures;
     struct outdir_rules rules;
-    bool poses, strict;
+    bool poses, strict, resume;
     struct config cfg;
 };
 
@@ -30,6 +31,7 @@ struct state {
     struct imageset set;
     struct prep_source source;
     struct outdir out, dump;
+    struct resume resume;
     struct cmd_json json;
     struct npy_dir tensors;
     struct job_result result;
@@ -207,8 +209,24 @@ static err_t prepare_job(struct request *rq, struct state *st, struct job_config
     return e ? e : reserve_memory(rq, st, job, &need);
 }
 
+/* How many steps fit into a time is no property of the job: it has no checkpoints. */
+static err_t begin_checkpoints(const struct request *rq, struct state *st, struct job_config *job)
+{
+    if (job->refine.steps == 0 || rq->cfg.job_checkpoint_s == 0 || job->budget_s > 0) {
+        if (rq->resume)
+            log_info("%s: a job %s has no checkpoint: it starts from the beginning", rq->out,
+                     job->budget_s > 0        ? "with a time budget"
+                     : job->refine.steps == 0 ? "without refinement"
+                                              : "with job.checkpoint_s = 0");
+        return OK;
+    }
+    err_t e = resume_open(&st->out, rq->cfg.job_checkpoint_s, rq->resume, &st->resume);
+    job->refine.saver = &st->resume.saver;
+    return e;
+}
+
 /* All places for results, before the work. */
-static err_t open_results(struct request *rq, struct state *st, const struct job_config *job)
+static err_t open_results(struct request *rq, struct state *st, struct job_config *job)
 {
     const char *const inputs[] = {rq->set.exposures, rq->set.rig, rq->model.path};
     enum { FILES = sizeof inputs / sizeof inputs[0] };
@@ -219,6 +237,8 @@ static err_t open_results(struct request *rq, struct state *st, const struct job
     if (!e)
         e = publish_check(&st->set.capture, job, &st->out);
     if (!e)
+        e = begin_checkpoints(rq, st, job);
+    if (!e)
         e = cmd_json_open(rq->json, &st->json);
     return e ? e : begin_dump(rq, st);
 }
@@ -228,6 +248,8 @@ static err_t write_results(struct request *rq, struct state *st)
     err_t e = end_dump(rq, st);
     if (!e)
         e = publish_run(&st->engine.run, &st->result, &st->out);
+    if (!e)
+        resume_forget(st->out.path);
     progress_end(&st->engine.progress);
     return e ? e : print_result(rq, st);
 }
@@ -287,6 +309,8 @@ int cmd_reconstruct_run(int argc, char **argv)
         {"dump-exposures", "LIST", "three, of the picture there; else those of the inputs", NULL,
          &rq.dump_exposures, NULL},
         {"json", "FILE", "the report once more, - for stdout", NULL, &rq.json, NULL},
+        {"resume", NULL, "go on where a former run for the same result was interrupted", NULL, NULL,
+         &rq.resume},
         CMD_FORCE(rq.rules),
         CMD_STRICT(rq.strict),
         {"refine-poses", NULL, "refine the cameras of the input views too", NULL, NULL, &rq.poses},
@@ -315,6 +339,7 @@ int cmd_reconstruct_run(int argc, char **argv)
         code = CMD_FAILURE; // after another error, which was printed
     cmd_json_discard(&st.json);
     outdir_close(&st.dump);
+    resume_close(&st.resume);
     outdir_close(&st.out);
     imageset_free(&st.set);
     teamwork_close(&st.team, e, speaks ? code : CMD_FAILURE);

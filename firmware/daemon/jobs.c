@@ -4,6 +4,7 @@
 #include "firmware/base/child.h"
 #include "firmware/base/config.h"
 #include "firmware/cmd/cmd.h"
+#include "firmware/result/resume.h"
 #include "firmware/store/places.h"
 
 #include "core/base/log.h"
@@ -29,7 +30,7 @@ static const char suffix[] = ".pending", pending[] = ORIGIN_COMMENT "\n";
 struct order {
     char in[PLACES_MAX][FILE_PATH_CAP], out[FILE_PATH_CAP];
     char launcher[CONFIG_TEXT]; // its words end with 0
-    char *argv[2 * PLACES_MAX + 8 + LAUNCHER_WORDS];
+    char *argv[2 * PLACES_MAX + 9 + LAUNCHER_WORDS];
 };
 
 struct jobs {
@@ -39,8 +40,8 @@ struct jobs {
     int n;
     char queue[JOBS_MAX][STORE_ID_CAP]; // [0] is the running one
     struct child child;
-    bool cancelled;
-    int warnings; // so far, in the running job
+    bool cancelled, resumed; // the running job
+    int warnings;            // so far, in the running job
     struct jobs_state state;
     struct order order;
 };
@@ -216,7 +217,7 @@ static void end_job(struct jobs *j, enum jobs_end how)
 static err_t make_order(struct jobs *j)
 {
     static char images[] = "--images", out[] = "--out", config[] = "--config";
-    static char reconstruct[] = "reconstruct";
+    static char reconstruct[] = "reconstruct", resume[] = "--resume";
     struct order *o = &j->order;
     struct places p;
     char **arg = o->argv;
@@ -236,6 +237,9 @@ static err_t make_order(struct jobs *j)
         e = file_join(j->results, j->queue[0], o->out);
     *arg++ = out;
     *arg++ = o->out;
+    j->resumed = resume_has(o->out);
+    if (j->resumed)
+        *arg++ = resume;
     *arg++ = j->config[0] ? config : NULL;
     *arg++ = j->config;
     *arg = NULL;
@@ -275,9 +279,13 @@ static void reap_child(struct jobs *j)
         return;
     if (WIFEXITED(status) && WEXITSTATUS(status) == 0)
         end_job(j, JOBS_DONE);
-    else if (j->cancelled || (WIFEXITED(status) && WEXITSTATUS(status) == INTERRUPTED))
+    else if (j->cancelled || (WIFEXITED(status) && WEXITSTATUS(status) == INTERRUPTED)) {
+        resume_forget(j->order.out);
         end_job(j, JOBS_CANCELLED);
-    else {
+    } else if (j->resumed) { // the next step starts it again
+        log_warn("%s: begins again, its checkpoint did not help: %s", j->queue[0], j->state.line);
+        resume_forget(j->order.out);
+    } else {
         char text[64];
         if (WIFSIGNALED(status)) {
             snprintf(text, sizeof text, "killed by signal %d", WTERMSIG(status));

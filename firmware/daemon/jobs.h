@@ -1,7 +1,9 @@
 /* jobs.h - reconstructions in the background: `hdrig reconstruct` as a child process, one at a
  * time, the oldest take first. A child that crashes or runs out of memory does not affect the
  * daemon. The id of a session stands for all its places (places.h) at the time when the job begins.
- * The queue survives the daemon: RESULTS/ID.pending stays until its reconstruction has ended.
+ * The queue survives the daemon: RESULTS/ID.pending stays until its reconstruction has ended. One
+ * that was interrupted goes on from its checkpoint (firmware/result/resume.h), or, if that fails,
+ * begins again.
  * thread: one. Nothing blocks but jobs_close. */
 #ifndef DAEMON_JOBS_H
 #define DAEMON_JOBS_H

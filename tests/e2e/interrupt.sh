@@ -37,6 +37,7 @@ for signal in INT TERM; do
     [ $code -eq 130 ] || fail "$signal: exit $code, expected 130"
     grep -q 'reconstruct: interrupted$' "$ERR" || fail "$signal: $(tail -n 1 "$ERR")"
     unchanged $signal
+    rm "$OUT/results/.scene.checkpoint" || fail "$signal: no checkpoint"
     only_the_result $signal
 done
 

@@ -251,6 +251,55 @@ static void what_waits_survives_the_daemon(void **state)
     assert_string_equal(s.last_id, "boot-000002");
 }
 
+static void put_checkpoint(void)
+{
+    tmpdir_text("results/.a-1.checkpoint",
+                "hdrig checkpoint"
+                "0123456789012345678901234567890123456789012345678901234567890123"
+                "0123456789012345678901234567890123456789012345678901234567890123");
+}
+
+static bool has_checkpoint(void)
+{
+    return file_exists(tmpdir_path("results/.a-1.checkpoint"));
+}
+
+/* With a checkpoint a job goes on from it; if that fails, it begins again. */
+static void going_on(void **state)
+{
+    (void)state;
+    char log[300];
+    open_with("#!/bin/sh\nlog=${5%/*}/log\necho \"$6\" >>$log\n"
+              "[ \"$6\" != --resume ] || exit 1\n");
+    put_checkpoint();
+    assert_int_equal(jobs_add(j, "a-1"), OK);
+    run_until(NULL);
+    assert_int_equal(s.last, JOBS_DONE);
+    assert_false(has_checkpoint() || pending("a-1"));
+    snprintf(log, sizeof log, "%s", tmpdir_path("results/log"));
+    FILE *f = fopen(log, "r");
+    char line[2][80] = {"", ""};
+    assert_non_null(f);
+    assert_true(fgets(line[0], sizeof line[0], f) && fgets(line[1], sizeof line[1], f));
+    fclose(f);
+    assert_string_equal(line[0], "--resume\n");
+    assert_string_equal(line[1], "\n");
+}
+
+/* One that the user ends is not needed any more. */
+static void cancelling_forgets(void **state)
+{
+    (void)state;
+    open_with("#!/bin/sh\necho begun >&2\nexec sleep 30\n");
+    put_checkpoint();
+    assert_int_equal(jobs_add(j, "a-1"), OK);
+    run_until("begun");
+    jobs_cancel(j);
+    run_until(NULL);
+    assert_int_equal(s.last, JOBS_CANCELLED);
+    assert_false(has_checkpoint());
+}
+
 static void the_queue_is_bounded(void **state)
 {
     (void)state;
@@ -274,6 +323,8 @@ int main(void)
         cmocka_unit_test_setup_teardown(warnings_are_counted, set_up, tear_down),
         cmocka_unit_test_setup_teardown(somebody_elses_pending_file, set_up, tear_down),
         cmocka_unit_test_setup_teardown(cancelling, set_up, tear_down),
+        cmocka_unit_test_setup_teardown(going_on, set_up, tear_down),
+        cmocka_unit_test_setup_teardown(cancelling_forgets, set_up, tear_down),
         cmocka_unit_test_setup_teardown(what_waits_survives_the_daemon, set_up, tear_down),
         cmocka_unit_test_setup_teardown(the_queue_is_bounded, set_up, tear_down),
     };
