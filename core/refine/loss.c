@@ -7,6 +7,8 @@
  * Sums per chunk are added in chunk order. */
 #include "core/refine/loss.h"
 
+#include "core/base/num.h"
+
 #include <math.h>
 #include <string.h>
 
@@ -71,6 +73,8 @@ err_t loss_init(struct loss *l, struct arena *a, int w, int h, int workers)
     if (!e)
         e = arena_alloc(a, (size_t)chunks_of(h) * P_ALL, 8, &l->partial);
     if (!e)
+        e = arena_alloc(a, (size_t)TEAM_MAX * P_ALL, 8, &l->totals);
+    if (!e)
         e = arena_alloc(a, 3 * px, 4, &l->d_radiance);
     return e ? e : arena_alloc(a, px, 4, &l->d_alpha);
 }
@@ -89,7 +93,24 @@ struct job {
     struct tonemap_table table;
     int w, h;
     size_t px;
+    int first, end; // rows that are compared here
 };
+
+struct span {
+    int row0, row1;
+};
+
+/* Rows of a chunk within [row0, row1). */
+static struct span rows_of(int chunk, int row0, int row1)
+{
+    return (struct span){num_max(chunk * ROWS, row0), num_min((chunk + 1) * ROWS, row1)};
+}
+
+/* The first chunk with rows whose windows reach those that are compared here. */
+static int chunk_above(const struct job *j)
+{
+    return num_max(j->first - EDGE, 0) / ROWS;
+}
 
 static struct tone_row tone_row_of(const struct job *j, int colour, int y)
 {
@@ -110,8 +131,9 @@ static err_t tone_chunk(void *ctx, int chunk, int worker)
 {
     struct job *j = ctx;
     (void)worker;
-    int end = (chunk + 1) * ROWS < j->h ? (chunk + 1) * ROWS : j->h;
-    for (int y = chunk * ROWS; y < end; y++)
+    const struct span s =
+        rows_of(chunk + chunk_above(j), num_max(j->first - EDGE, 0), num_min(j->end + EDGE, j->h));
+    for (int y = s.row0; y < s.row1; y++)
         for (int c = 0; c < 3; c++) {
             struct tone_row row = tone_row_of(j, c, y);
             j->r->k->tone_row(&row);
@@ -172,12 +194,13 @@ static err_t ssim_chunk(void *ctx, int chunk, int worker)
 {
     struct job *j = ctx;
     struct loss *l = j->l;
-    double *p = l->partial + (size_t)chunk * P_ALL;
-    int windows = j->h - EDGE, row0 = chunk * ROWS,
-        row1 = row0 + ROWS < windows ? row0 + ROWS : windows;
-    p[P_SSIM] = 0;
-    for (int c = 0; c < 3 && row0 < row1; c++)
-        ssim_rows(j, c, row0, row1, l->scratch + l->scratch_floats * (size_t)worker, &p[P_SSIM]);
+    chunk += chunk_above(j);
+    const struct span s = rows_of(chunk, num_max(j->first - EDGE, 0), num_min(j->end, j->h - EDGE));
+    double sum = 0;
+    for (int c = 0; c < 3 && s.row0 < s.row1; c++)
+        ssim_rows(j, c, s.row0, s.row1, l->scratch + l->scratch_floats * (size_t)worker, &sum);
+    if (chunk * ROWS >= j->first) // those above are counted by another rank
+        l->partial[(size_t)chunk * P_ALL + P_SSIM] = sum;
     return OK;
 }
 
@@ -245,11 +268,12 @@ static err_t grad_chunk(void *ctx, int chunk, int worker)
 {
     struct job *j = ctx;
     struct loss *l = j->l;
+    chunk += j->first / ROWS;
     double *p = l->partial + (size_t)chunk * P_ALL, ssim = p[P_SSIM];
     memset(p, 0, P_ALL * sizeof *p);
     p[P_SSIM] = ssim;
-    int end = (chunk + 1) * ROWS < j->h ? (chunk + 1) * ROWS : j->h;
-    for (int y = chunk * ROWS; y < end; y++)
+    const struct span s = rows_of(chunk, j->first, j->end);
+    for (int y = s.row0; y < s.row1; y++)
         for (int c = 0; c < 3; c++) {
             float *line = l->scratch + l->scratch_floats * (size_t)worker;
             float *to = l->d_radiance + (size_t)c * j->px + (size_t)y * (size_t)j->w;
@@ -262,12 +286,38 @@ static err_t grad_chunk(void *ctx, int chunk, int worker)
     return OK;
 }
 
-static void sum_chunks(const struct job *j, struct loss_output *out)
+/* total: (P_ALL) */
+static void sum_chunks(const struct job *j, double *total)
 {
-    double total[P_ALL] = {0};
-    for (int c = 0; c < chunks_of(j->h); c++)
+    memset(total, 0, P_ALL * sizeof *total);
+    for (int c = j->first / ROWS; c < chunks_of(j->end); c++)
         for (int i = 0; i < P_ALL; i++)
             total[i] += j->l->partial[(size_t)c * P_ALL + (size_t)i];
+}
+
+/* The same of all ranks, in their order. */
+static err_t sum_ranks(const struct job *j, double *total)
+{
+    struct team *t = j->l->team;
+    double *all = j->l->totals;
+    size_t at[TEAM_MAX + 1] = {0};
+    if (!t)
+        return OK;
+    for (int k = 0; k < t->size; k++)
+        at[k + 1] = at[k] + P_ALL * sizeof *all;
+    memcpy(all + t->rank * P_ALL, total, P_ALL * sizeof *all);
+    err_t e = team_begin(t, all, at);
+    if (!e)
+        e = team_wait(t);
+    memset(total, 0, P_ALL * sizeof *total);
+    for (int k = 0; k < t->size && !e; k++)
+        for (int i = 0; i < P_ALL; i++)
+            total[i] += all[k * P_ALL + i];
+    return e;
+}
+
+static void fill_output(const struct job *j, const double *total, struct loss_output *out)
+{
     double windows = 3.0 * (j->h - EDGE) * (j->w - EDGE);
     out->loss = (double)j->in->w_l1 * total[P_L1] / (3.0 * (double)j->px) +
                 (double)j->in->w_ssim * (1 - total[P_SSIM] / windows);
@@ -284,6 +334,9 @@ err_t loss_run(const struct run *r, struct loss *l, const struct loss_input *in,
                struct loss_output *out)
 {
     struct job j = {.r = r, .l = l, .in = in, .w = in->pic->w, .h = in->pic->h};
+    double total[P_ALL];
+    j.first = l->team ? in->first : 0;
+    j.end = l->team ? in->end : j.h;
     if (j.w < LOSS_WINDOW || j.h < LOSS_WINDOW || j.w > l->w || j.h > l->h)
         return err_fail(ERR_ARG, "loss: picture of %d x %d px, planned for %d x %d", j.w, j.h, l->w,
                         l->h);
@@ -294,12 +347,19 @@ err_t loss_run(const struct run *r, struct loss *l, const struct loss_input *in,
         memset(map_row(&j, m / 3, m % 3, 0), 0, (size_t)l->stride * EDGE * 4);
         memset(map_row(&j, m / 3, m % 3, j.h), 0, (size_t)l->stride * EDGE * 4);
     }
-    err_t e = pool_for(r->pool, chunks_of(j.h), tone_chunk, &j);
+    const int chunks = j.first < j.end ? chunks_of(j.end) - j.first / ROWS : 0;
+    const int above = chunks ? j.first / ROWS - chunk_above(&j) : 0;
+    const int below = chunks ? chunks_of(num_min(j.end + EDGE, j.h)) - chunks_of(j.end) : 0;
+    err_t e = pool_for(r->pool, above + chunks + below, tone_chunk, &j);
     if (!e)
-        e = pool_for(r->pool, chunks_of(j.h), ssim_chunk, &j);
+        e = pool_for(r->pool, above + chunks, ssim_chunk, &j);
     if (!e)
-        e = pool_for(r->pool, chunks_of(j.h), grad_chunk, &j);
+        e = pool_for(r->pool, chunks, grad_chunk, &j);
+    if (e)
+        return e;
+    sum_chunks(&j, total);
+    e = sum_ranks(&j, total);
     if (!e)
-        sum_chunks(&j, out);
+        fill_output(&j, total, out);
     return e;
 }

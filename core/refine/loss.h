@@ -25,6 +25,9 @@ struct loss {
     double *partial;   // per chunk
     float *d_radiance; // (3, h, w) result
     float *d_alpha;    // (h, w) result
+    double *totals;    // (TEAM_MAX, ..) of each rank
+    /* Set after loss_init: each rank compares its rows, and sums are those of all. NULL: alone. */
+    struct team *team;
 };
 
 struct loss_input {
@@ -40,6 +43,8 @@ struct loss_input {
     const uint8_t *held; // (ceil(photo_h / held_px), held_across) 1 = held out; NULL = nothing
     int held_px;         // edge of a square
     int held_across;     // squares in a row of `held`, >= ceil(photo_w / held_px)
+    int first, end;      // rows of the picture that this rank of a team compares, begin and end on
+                         // multiples of 16 or at the picture's end; 10 more on both sides are drawn
     bool more; // add to the gradients of the previous call: another photograph, same picture
 };
 
@@ -58,7 +63,8 @@ MUST_USE err_t loss_init(struct loss *l, struct arena *a, int w, int h, int work
 
 /* Value and gradient; the picture has the planned size or a smaller one (same workspace, other step
  * of a pyramid).
- * out: *out, l->d_radiance and l->d_alpha (inputs of render_grad). */
+ * out:  *out, l->d_radiance and l->d_alpha (inputs of render_grad); of a rank: in its rows.
+ * err:  ERR_ARG, those of team_gather. */
 MUST_USE err_t loss_run(const struct run *r, struct loss *l, const struct loss_input *in,
                         struct loss_output *out);
 

@@ -280,7 +280,11 @@ static err_t compare_view(struct refine *f, int i, const struct part *part, cons
         shade_view(f, i, f->pic.radiance);
     for (int k = i; k >= 0; k = views_next(f->v, i, k))
         n++;
+    int first, end;
+    raster_rows(&f->raster, &first, &end);
     struct loss_input as = {.pic = &f->pic,
+                            .first = first,
+                            .end = end,
                             .tone = &f->s->tone,
                             .behind = {behind[0], behind[1], behind[2]},
                             .w_l1 = 0.8f / (float)n,
@@ -606,7 +610,7 @@ static err_t time_level(struct refine *f, int level)
     }
     f->rng = rng;
     f->pace.seconds[level] = (f->r->clock() - start) / 2;
-    return OK;
+    return team_copy(f->r->team, &f->pace.seconds[level], sizeof f->pace.seconds[level]);
 }
 
 /* Between the smallest and the largest pictures a step costs something for each splat and something
@@ -627,15 +631,18 @@ static err_t limit_steps(struct refine *f)
     }
     f->ready = f->r->clock();
     f->steps = pace_fit(p, 0, f->steps, f->cfg->seconds - (f->ready - f->began));
-    return e;
+    return e ? e : team_copy(f->r->team, &f->steps, sizeof f->steps);
 }
 
 /* Leave out the steps that would come too late, by the time that those before have taken. */
-static void keep_pace(struct refine *f)
+static err_t keep_pace(struct refine *f)
 {
-    const double now = has_limit(f) ? f->r->clock() : 0, left = f->cfg->seconds - (now - f->began);
+    if (!has_limit(f))
+        return OK;
+    const double now = f->r->clock(), left = f->cfg->seconds - (now - f->began);
     if (now > f->ready)
         f->steps = pace_fit(&f->pace, f->step, f->steps, left * f->expected / (now - f->ready));
+    return team_copy(f->r->team, &f->steps, sizeof f->steps);
 }
 
 /* Once a round: report, split and decide whether to stop. */
@@ -650,9 +657,10 @@ static err_t end_round(struct refine *f, int round)
         f->r->progress(f->r->progress_ctx, "refine", f->step, f->steps, text);
     }
     err_t e = compare_best(f);
+    if (!e)
+        e = keep_pace(f);
     if (e)
         return e;
-    keep_pace(f);
     split_splats(f);
     if (f->level > 0 || f->band_from > 0)
         return OK;
@@ -722,6 +730,7 @@ err_t refine_run(const struct run *r, const struct views *v, const struct refine
         return err_fail(ERR_ARG, "refine: a view is %d px narrow, a side must be at least %d px",
                         shortest_edge(v), LOSS_WINDOW);
     err_t e = layout(&f, r->tmp, pool_size(r->pool));
+    f.raster.team = f.loss_work.team = r->team;
     if (!e)
         e = pyramid_run(r->pool, &f.photos);
     if (!e)

@@ -9,6 +9,7 @@
  * No step depends on the distribution of chunks over threads. */
 #include "core/splat/raster.h"
 
+#include "core/base/num.h"
 #include "core/base/rotation.h"
 
 #include <math.h>
@@ -124,6 +125,32 @@ struct job {
     const struct raster_group *group;
 };
 
+/* On a tile that is drawn here. */
+static bool is_drawn(const struct raster *rs, const struct splat2d *s)
+{
+    return s->x1 >= s->x0 && s->ty0 < rs->row1 && s->ty1 > rs->row0;
+}
+
+static void count_block(struct job *j, int b)
+{
+    struct raster *rs = j->rs;
+    const int first = b * SPLAT_BLOCK, end = num_min(first + SPLAT_BLOCK, j->in->g->n);
+    uint32_t seen = 0;
+    for (int i = first; i < end; i++)
+        seen += is_drawn(rs, &rs->splats[i]);
+    rs->block_seen[b] = seen;
+}
+
+static err_t count_chunk(void *ctx, int chunk, int worker)
+{
+    struct job *j = ctx;
+    (void)worker;
+    for (int b = chunk * CHUNK_BLOCKS;
+         b < (chunk + 1) * CHUNK_BLOCKS && b * SPLAT_BLOCK < j->in->g->n; b++)
+        count_block(j, b);
+    return OK;
+}
+
 static err_t project_chunk(void *ctx, int chunk, int worker)
 {
     struct job *j = ctx;
@@ -134,10 +161,8 @@ static err_t project_chunk(void *ctx, int chunk, int worker)
         int first = b * SPLAT_BLOCK, n = j->in->g->n - first;
         n = n < SPLAT_BLOCK ? n : SPLAT_BLOCK;
         j->r->k->project(j->in->g, &rs->view, first, n, rs->splats);
-        uint32_t seen = 0;
-        for (int i = first; i < first + n; i++)
-            seen += rs->splats[i].x1 >= rs->splats[i].x0;
-        rs->block_seen[b] = seen;
+        if (!rs->team)
+            count_block(j, b);
     }
     return OK;
 }
@@ -151,7 +176,7 @@ static err_t compact_chunk(void *ctx, int chunk, int worker)
     uint32_t at = rs->block_seen[chunk * CHUNK_BLOCKS];
     for (int i = first; i < end; i++) {
         const struct splat2d *s = &rs->splats[i];
-        if (s->x1 < s->x0)
+        if (!is_drawn(rs, s))
             continue;
         memcpy(&rs->key[0][at], &s->z, 4);
         rs->order[0][at++] = (uint32_t)i;
@@ -195,8 +220,9 @@ static err_t box_chunk(void *ctx, int chunk, int worker)
     for (int i = chunk * CHUNK; i < end; i++) {
         uint32_t id = rs->order[1][i];
         const struct splat2d *s = &rs->splats[id];
+        const int ty0 = num_max(s->ty0, rs->row0), ty1 = num_min(s->ty1, rs->row1);
         rs->boxes[i] = (uint64_t)id << 32 | (uint32_t)s->tx0 << 24 | (uint32_t)s->tx1 << 16 |
-                       (uint32_t)s->ty0 << 8 | (uint32_t)s->ty1;
+                       (uint32_t)ty0 << 8 | (uint32_t)ty1;
     }
     return OK;
 }
@@ -243,7 +269,7 @@ static void split_groups(struct raster *rs)
 {
     size_t used = 0;
     rs->n_groups = 0;
-    for (int y = 0; y < rs->tiles_y; y++) {
+    for (int y = rs->row0; y < rs->row1; y++) {
         size_t row = 0;
         for (int x = 0; x < rs->tiles_x; x++)
             row += rs->tile_count[y * rs->tiles_x + x];
@@ -342,6 +368,13 @@ static err_t tile_chunk(void *ctx, int chunk, int worker)
     return OK;
 }
 
+void raster_rows(const struct raster *rs, int *first, int *end)
+{
+    const int rank = team_rank(rs->team);
+    *first = rs->team ? num_min(rs->band[rank] * TILE, rs->view.h) : 0;
+    *end = rs->team ? num_min(rs->band[rank + 1] * TILE, rs->view.h) : rs->view.h;
+}
+
 static err_t check_input(const struct raster *rs, const struct raster_input *in)
 {
     const struct camera *c = in->cam;
@@ -368,7 +401,13 @@ static err_t sort_splats(struct job *j)
     struct raster *rs = j->rs;
     const struct run *r = j->r;
     int n = j->in->g->n, chunks = div_up(n, CHUNK), blocks = div_up(n, SPLAT_BLOCK);
+    rs->row0 = 0;
+    rs->row1 = rs->tiles_y;
     err_t e = pool_for(r->pool, chunks, project_chunk, j);
+    if (!e && rs->team) {
+        raster_team_deal(rs, n);
+        e = pool_for(r->pool, chunks, count_chunk, j);
+    }
     if (e)
         return e;
     uint32_t total = 0;

@@ -60,7 +60,16 @@ struct raster {
     float *slots;   // (cap_pairs, SLOT); NULL without gradients
     float *sums;    // (cap, SLOT)
     float *partial; // pose gradients per chunk
+    /* Set after raster_init: the tile rows of each picture are dealt out to these ranks, whose
+     * scenes and cameras are the same; a rank's maps are complete in the rows of raster_rows and,
+     * where the picture goes on, RASTER_HALO rows beyond. Gradients are summed over the ranks, as
+     * far as they are by radiance and alpha. NULL: alone. */
+    struct team *team;
+    int row0, row1;         // tile rows that are drawn
+    int band[TEAM_MAX + 1]; // first tile row of each rank
 };
+
+enum { RASTER_HALO = TILE };
 
 /* Bytes that raster_init takes for pictures up to w x h and up to cap splats. */
 size_t raster_plan(int cap, int w, int h, bool gradients);
@@ -75,7 +84,10 @@ MUST_USE err_t raster_init(struct raster *rs, struct arena *a, int cap, int w, i
 MUST_USE err_t raster_run(const struct run *r, struct raster *rs, const struct raster_input *in,
                           struct render *out);
 
-/* d loss / d maps of the picture drawn last. */
+/* Rows of the picture drawn last that this rank has: all, or those dealt to it. */
+void raster_rows(const struct raster *rs, int *first, int *end);
+
+/* d loss / d maps of the picture drawn last; of a rank: in its rows. */
 struct render_grad {
     const float *radiance; // (3, h, w)
     const float *depth;    // (h, w) or NULL
@@ -91,7 +103,7 @@ struct raster_sink {
     raster_sink_fn *fn;
     void *ctx;
     float *pose;       // (POSE_GRAD) dL/d R, t, fx fy cx cy, or NULL
-    float *background; // (3) or NULL
+    float *background; // (3) or NULL; alone
 };
 
 /* Backward pass of the last raster_run on this workspace with the same input. The sink may change
@@ -100,6 +112,13 @@ struct raster_sink {
 MUST_USE err_t raster_grad_run(const struct run *r, struct raster *rs,
                                const struct raster_input *in, const struct render_grad *up,
                                const struct raster_sink *sink);
+
+/* Choose the rows of each rank, once n splats are projected (for raster.c). */
+void raster_team_deal(struct raster *rs, int n);
+
+/* sums of the rows of this rank become those of all ranks (for raster_grad.c).
+ * err: those of team_begin. */
+MUST_USE err_t raster_team_sum(const struct run *r, struct raster *rs, int n);
 
 /* Fill lists of group `i` unless they are in place (for raster_grad.c). */
 MUST_USE err_t raster_load_group(const struct run *r, struct raster *rs, int i);

@@ -4,6 +4,8 @@
  * which may apply the optimiser at once. */
 #include "core/splat/raster.h"
 
+#include "core/base/num.h"
+
 #include <math.h>
 #include <string.h>
 
@@ -15,7 +17,8 @@ struct grad_job {
     const struct raster_input *in;
     const struct render_grad *up;
     const struct raster_sink *sink;
-    const struct raster_group *group;
+    struct raster_group group; // the part of a loaded one that gives gradients
+    int tile;                  // its first one in the loaded group
     bool first;
 };
 
@@ -33,7 +36,7 @@ static err_t count_chunk(void *ctx, int chunk, int worker)
     int n = j->in->g->n, end = (chunk + 1) * CHUNK < n ? (chunk + 1) * CHUNK : n;
     uint32_t total = 0;
     for (int i = chunk * CHUNK; i < end; i++)
-        total += (uint32_t)tiles_in_group(&j->rs->splats[i], j->group);
+        total += (uint32_t)tiles_in_group(&j->rs->splats[i], &j->group);
     j->rs->key[0][chunk] = total; // reused: the sort is over
     return OK;
 }
@@ -46,7 +49,7 @@ static err_t base_chunk(void *ctx, int chunk, int worker)
     uint32_t at = j->rs->key[0][chunk];
     for (int i = chunk * CHUNK; i < end; i++) {
         j->rs->splats[i].base = at;
-        at += (uint32_t)tiles_in_group(&j->rs->splats[i], j->group);
+        at += (uint32_t)tiles_in_group(&j->rs->splats[i], &j->group);
     }
     return OK;
 }
@@ -55,7 +58,8 @@ static err_t tile_chunk(void *ctx, int chunk, int worker)
 {
     struct grad_job *j = ctx;
     (void)worker;
-    struct tile t = raster_tile(j->rs, j->in, chunk);
+    struct tile t = raster_tile(j->rs, j->in, j->tile + chunk);
+    t.gy0 = j->group.y0;
     t.d_radiance = j->up->radiance;
     t.d_depth = j->up->depth;
     t.d_alpha = j->up->alpha;
@@ -71,7 +75,7 @@ static err_t gather_chunk(void *ctx, int chunk, int worker)
     for (int i = chunk * CHUNK; i < end; i++) {
         float *sum = j->rs->sums + (size_t)i * SLOT;
         const float *slot = j->rs->slots + (size_t)j->rs->splats[i].base * SLOT;
-        int slots = tiles_in_group(&j->rs->splats[i], j->group);
+        int slots = tiles_in_group(&j->rs->splats[i], &j->group);
         if (j->first)
             memset(sum, 0, SLOT * sizeof *sum);
         for (int k = 0; k < slots; k++, slot += SLOT)
@@ -81,11 +85,25 @@ static err_t gather_chunk(void *ctx, int chunk, int worker)
     return OK;
 }
 
+/* The rows of other ranks give no gradient here. */
+static void cut_group(struct grad_job *j, int i)
+{
+    const struct raster_group *all = &j->rs->groups[i];
+    const int rank = team_rank(j->rs->team);
+    j->group = *all;
+    if (j->rs->team) {
+        j->group.y0 = num_max(all->y0, j->rs->band[rank]);
+        j->group.y1 = num_max(num_min(all->y1, j->rs->band[rank + 1]), j->group.y0);
+    }
+    j->tile = (j->group.y0 - all->y0) * (all->x1 - all->x0);
+}
+
 static err_t group_grad(struct grad_job *j, int i)
 {
     const struct run *r = j->r;
     int chunks = (j->in->g->n + CHUNK - 1) / CHUNK;
-    const struct raster_group *g = j->group = &j->rs->groups[i];
+    const struct raster_group *g = &j->group;
+    cut_group(j, i);
     j->first = i == 0;
     err_t e = raster_load_group(r, j->rs, i);
     if (!e)
@@ -152,6 +170,11 @@ err_t raster_grad_run(const struct run *r, struct raster *rs, const struct raste
     struct grad_job j = {.r = r, .rs = rs, .in = in, .up = up, .sink = sink};
     for (int i = 0; i < rs->n_groups; i++) {
         err_t e = group_grad(&j, i);
+        if (e)
+            return e;
+    }
+    if (rs->team) {
+        err_t e = raster_team_sum(r, rs, in->g->n);
         if (e)
             return e;
     }
