@@ -6,6 +6,7 @@
 # make uninstall  DESTDIR= PREFIX=                  removes what install wrote
 # make check-kernel  drivers under real kernels: TEST=gpio, BENCH=uml|qemu
 # make check-rig     a rig of boards in network namespaces: MEMBERS=16 TAKES=25 SEED=1, as root
+# make check-mpi     ranks of Open MPI in network namespaces: RANKS="1 2 4" VIEWS=8, as root
 # make check-distro  on another Debian, as root: SUITE=trixie|bookworm
 # make check-train   the training of the small network: PYTHON= with PyTorch
 # make fuzz       SECONDS= for each target (clang)
@@ -128,7 +129,8 @@ MODULE_NEEDS := drivers/device/libcamera_shim.cpp $(wildcard drivers/device/libc
 # --- build ----------------------------------------------------------------------------------------
 .PHONY: all demo libsim check check-long test lint format deps deps-check install uninstall deb \
 	clean fuzz bench picture objects tests tsan-tests arm-tests fault-tests fuzz-targets check-kernel \
-	check-train check-distro check-rig edge-tests inner-tests deps-kernel deps-qemu deps-cross
+	check-train check-distro check-rig check-mpi edge-tests inner-tests deps-kernel deps-qemu \
+	deps-cross
 .DELETE_ON_ERROR:
 .SECONDARY:
 
@@ -342,6 +344,10 @@ check-kernel: deps-kernel $(TOOLS) $(MODULE) $(call programs,$(LINUX))
 check-rig: deps-check all $(B)/tests/e2e/verify_take
 	@rm -rf build/e2e/check-rig && mkdir -p build/e2e/check-rig
 	@HDRIG=$(B)/hdrig BIN=$(B)/tests/e2e OUT=build/e2e/check-rig tests/rig/check.sh
+
+check-mpi: deps-check all
+	@rm -rf build/e2e/check-mpi && mkdir -p build/e2e/check-mpi
+	@HDRIG=$(B)/hdrig OUT=build/e2e/check-mpi tests/ranks/check.sh
 
 check-distro:
 	@tests/distro.sh "$(SUITE)"

@@ -403,11 +403,18 @@ static err_t advise_near(const struct run *r, struct survey *l, int view,
 static err_t suggest_photograph(const struct run *r, struct survey *l,
                                 struct confidence_advice *out)
 {
-    const int views = l->s->n_views, n = num_min(views, ADVISERS);
+    const int views = l->s->n_views, n = num_min(views, ADVISERS), rank = team_rank(r->team);
+    struct confidence_advice best[TEAM_MAX];
     err_t e = OK;
-    *out = (struct confidence_advice){.near = -1};
-    for (int i = 0; i < n && !e; i++)
-        e = advise_near(r, l, n > 1 ? i * (views - 1) / (n - 1) : 0, out);
+    best[rank] = (struct confidence_advice){.near = -1};
+    for (int i = team_first(r->team, n, rank); i < team_first(r->team, n, rank + 1) && !e; i++)
+        e = advise_near(r, l, n > 1 ? i * (views - 1) / (n - 1) : 0, &best[rank]);
+    if (!e)
+        e = team_collect(r->team, best, sizeof *best);
+    *out = best[0];
+    for (int i = 1; i < team_size(r->team) && !e; i++)
+        if (best[i].near >= 0 && best[i].gain > out->gain)
+            *out = best[i];
     return e;
 }
 

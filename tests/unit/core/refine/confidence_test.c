@@ -9,6 +9,7 @@
 #include "core/base/shell.h"
 #include "core/photo/tonemap.h"
 #include "core/splat/raster.h"
+#include "tests/unit/core/base/team_local.h"
 #include "tests/unit/squares.h"
 
 #include <math.h>
@@ -30,7 +31,7 @@ enum {
     PX = SIZE * SIZE
 };
 
-static struct world {
+static _Thread_local struct world {
     struct arena keep, tmp, exact;
     struct kernels k;
     struct run r;
@@ -56,7 +57,7 @@ static void put_splat(int i, float x, float y, float z, float size)
 
 static void draw(const struct gaussians *g, int view, float radiance[3 * PX])
 {
-    static float alpha[PX];
+    static _Thread_local float alpha[PX];
     struct raster rs;
     const struct raster_input in = {g, &w.cams[view], {0, 0, 0}};
     struct render out = {0, 0, radiance, NULL, alpha};
@@ -68,7 +69,7 @@ static void draw(const struct gaussians *g, int view, float radiance[3 * PX])
 
 static void photograph(int view)
 {
-    static float px[3 * PX];
+    static _Thread_local float px[3 * PX];
     struct tonemap_table table;
     tonemap_table_init(&table, &w.s.tone);
     draw(&w.s.g, view, px);
@@ -213,6 +214,33 @@ static void test_same_for_any_number_of_threads(void **state)
 }
 
 /* Cameras that leave the right of the wall to one of them, and a scene without splats. */
+/* A rank tries some places, and must end with the best of all. */
+static err_t advise_on_rank(void *ctx, struct team *t)
+{
+    const struct confidence_advice *alone = ctx;
+    const float x[3] = {0, 0.4f, 0.8f};
+    open_world(1, x);
+    w.r.team = t;
+    find_confidence();
+    const bool same = memcmp(&w.advice, alone, sizeof *alone) == 0;
+    close_world();
+    return same ? OK : err_fail(ERR_ARG, "rank %d has other advice", team_rank(t));
+}
+
+static void test_same_for_any_number_of_ranks(void **state)
+{
+    const float x[3] = {0, 0.4f, 0.8f};
+    (void)state;
+    open_world(2, x);
+    find_confidence();
+    const struct confidence_advice alone = w.advice;
+    close_world();
+    assert_true(alone.near >= 0);
+    for (int size = 2; size <= 5; size++)
+        if (team_local_run(size, NULL, advise_on_rank, (void *)&alone, NULL))
+            fail_msg("%s", err_text());
+}
+
 static void test_advice(void **state)
 {
     (void)state;
@@ -248,6 +276,7 @@ int main(void)
         cmocka_unit_test(test_guesses),
         cmocka_unit_test(test_drawn),
         cmocka_unit_test(test_same_for_any_number_of_threads),
+        cmocka_unit_test(test_same_for_any_number_of_ranks),
         cmocka_unit_test(test_advice),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
