@@ -9,6 +9,7 @@ static const struct {
 } commands[] = {
     {"status", "boards of the rig, and what keeps it from a capture", cmd_rig_status},
     {"capture", "one capture by all boards, and how far apart they began", cmd_rig_status_capture},
+    {"accept", "joins what there is of a capture that waits for parts", cmd_rig_status_accept},
     {"forget", "gives up a capture that waits, or a board that was taken away",
      cmd_rig_status_forget},
     {"broker", "makes the broker of a rig on this machine", cmd_rig_setup_broker},

@@ -1,4 +1,4 @@
-/* hdrig rig status, capture, forget: what the daemon knows of the rig, and does with it. */
+/* hdrig rig status, capture, accept, forget: what the daemon knows of the rig, and does with it. */
 #include "firmware/cmd/cmd_rig.h"
 #include "firmware/daemon/ctl.h"
 
@@ -66,7 +66,7 @@ static void print_member(const struct cJSON *m, int wide)
     puts("");
 }
 
-/* A take that waits, and for whom. */
+/* A take that waits, for whom, and what its owner can do. */
 static void print_take(const struct cJSON *t)
 {
     const char *id = text_of(t, "id"), *reason = text_of(t, "reason");
@@ -79,6 +79,8 @@ static void print_take(const struct cJSON *t)
             printf("; %s: %s%s%s", text_of(p, "name"), state, *why ? ", " : "", why);
     }
     puts("");
+    if (*text_of(t, "choice"))
+        printf("  %s\n", text_of(t, "choice"));
 }
 
 static void print_rig(const struct cJSON *rig)
@@ -195,27 +197,43 @@ int cmd_rig_status_capture(int argc, char **argv)
     return cmd_finish(usage.name, capture_all(&cfg));
 }
 
-/* ---- forget ---- */
+/* ---- accept, forget ---- */
 
-int cmd_rig_status_forget(int argc, char **argv)
+/* A command of the daemon about the capture or the board that is the first argument. */
+static int ask_about(const struct cmd_usage *usage, const char *command, int argc, char **argv)
 {
     static const char letters[] =
         "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789-_";
     struct config cfg;
     char line[CTL_LINE_MAX];
     int code;
+    const char *what = cmd_rig_word(&argc, &argv);
+    if (!cmd_parse(usage, argc, argv, &cfg, &code))
+        return code;
+    if (!*what)
+        return cmd_misuse(usage, "a capture or a board is needed");
+    if (strspn(what, letters) != strlen(what) || strlen(what) >= 100)
+        return cmd_misuse(usage, "that is neither the name of a capture nor that of a board");
+    snprintf(line, sizeof line, "%s %s", command, what);
+    return cmd_ask(usage->name, &cfg, line);
+}
+
+int cmd_rig_status_accept(int argc, char **argv)
+{
+    const struct cmd_usage usage = {
+        "rig accept", "ID ",
+        "At the conductor: joins the parts that there are of the capture ID, which waits for a\n"
+        "part that was lost or for a board that is gone. The take says what it lacks.",
+        NULL, 0};
+    return ask_about(&usage, "accept", argc, argv);
+}
+
+int cmd_rig_status_forget(int argc, char **argv)
+{
     const struct cmd_usage usage = {
         "rig forget", "ID|BOARD ",
         "At the conductor: gives up the capture ID, which waits for parts, and has them removed;\n"
         "or forgets a board that was taken away.",
         NULL, 0};
-    const char *what = cmd_rig_word(&argc, &argv);
-    if (!cmd_parse(&usage, argc, argv, &cfg, &code))
-        return code;
-    if (!*what)
-        return cmd_misuse(&usage, "a capture or a board is needed");
-    if (strspn(what, letters) != strlen(what) || strlen(what) >= 100)
-        return cmd_misuse(&usage, "that is neither the name of a capture nor that of a board");
-    snprintf(line, sizeof line, "forget %s", what);
-    return cmd_ask(usage.name, &cfg, line);
+    return ask_about(&usage, "forget", argc, argv);
 }

@@ -5,6 +5,7 @@
  *   session end       end it, and reconstruct it
  *   session scene     reconstruct its places now; it goes on
  *   calibrate [WHAT SECONDS]  calibrate all cameras; lines {"line": TEXT} come before the answer
+ *   accept ID         of a rig: join what there is of a capture that waits
  *   forget ID|BOARD   of a rig: give up a capture that waits, or a board that was taken away
  *   cancel            end the running take, calibration or reconstruction
  * Lines end with a newline, CTL_LINE_MAX bytes at most. The permissions of its folder say who

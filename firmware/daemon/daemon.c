@@ -321,9 +321,11 @@ static err_t run_command(void *ctx, const char *line)
     struct daemon *d = ctx;
     if (strcmp(line, "capture") == 0 || strcmp(line, "capture wait") == 0)
         return handle_press(d, clocks_now(), line[7] != 0);
-    if (strncmp(line, "forget ", 7) == 0)
-        return d->boards ? boards_forget(d->boards, line + 7)
-                         : err_fail(ERR_ARG, "rig.role is alone: there is nothing to forget");
+    const bool accepts = strncmp(line, "accept ", 7) == 0;
+    if (accepts || strncmp(line, "forget ", 7) == 0)
+        return !d->boards ? err_fail(ERR_ARG, "rig.role is alone: no capture waits for boards")
+               : accepts  ? boards_accept(d->boards, line + 7)
+                          : boards_forget(d->boards, line + 7);
     if (strcmp(line, "cancel") == 0) {
         cancel_work(d);
         return OK;
@@ -336,7 +338,7 @@ static err_t run_command(void *ctx, const char *line)
         return collect_scene(&d->collect);
     return err_fail(ERR_ARG,
                     "unknown command \"%.40s\": status, capture [wait], session [end|scene], "
-                    "calibrate [WHAT SECONDS], forget ID, cancel",
+                    "calibrate [WHAT SECONDS], accept ID, forget ID, cancel",
                     line);
 }
 
@@ -586,7 +588,8 @@ static err_t open_signals(struct daemon *d)
     sigemptyset(&set);
     sigaddset(&set, SIGTERM);
     sigaddset(&set, SIGINT);
-    signal(SIGPIPE, SIG_IGN);
+    signal(SIGPIPE, SIG_IGN); // writes tell of it, and of files that may not grow
+    signal(SIGXFSZ, SIG_IGN);
     sigprocmask(SIG_BLOCK, &set, NULL);
     d->signals = signalfd(-1, &set, SFD_NONBLOCK | SFD_CLOEXEC);
     d->clock = timerfd_create(CLOCK_REALTIME, TFD_NONBLOCK | TFD_CLOEXEC);

@@ -213,6 +213,11 @@ err_t boards_forget(struct boards *b, const char *what)
     return boards_act_lead(b, (struct conductor_event){.kind = CONDUCTOR_FORGET, .take = what});
 }
 
+err_t boards_accept(struct boards *b, const char *take)
+{
+    return boards_act_lead(b, (struct conductor_event){.kind = CONDUCTOR_ACCEPT, .take = take});
+}
+
 const char *boards_trouble(const struct boards *b)
 {
     if (b->broker[0])

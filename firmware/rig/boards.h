@@ -61,6 +61,9 @@ MUST_USE err_t boards_cancel(struct boards *b);
  * err:  ERR_ARG (also: this is no conductor) */
 MUST_USE err_t boards_forget(struct boards *b, const char *what);
 
+/* Join what there is of a take that waits. err: ERR_ARG (also: no conductor), ERR_LOST (no part) */
+MUST_USE err_t boards_accept(struct boards *b, const char *take);
+
 /* Whether a press runs that this board leads. */
 bool boards_is_busy(const struct boards *b);
 

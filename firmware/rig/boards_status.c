@@ -43,13 +43,16 @@ static void put_members(const struct conductor *c, FILE *f)
     fputs("]", f);
 }
 
-static void put_take(const struct conductor_take *t, FILE *f)
+static void put_take(const struct conductor *c, const struct conductor_take *t, FILE *f)
 {
+    char choice[TAKE_TEXT];
     static const char *const phases[] = {"free",      "metering", "recording", "shooting",
                                          "gathering", "joining",  "dropping",  "dropped"};
     static const char *const parts[] = {"waits", "stored", "fetching", "fetched", "failed", "gone"};
     fprintf(f, "{\"id\": \"%s\", \"phase\": \"%s\", \"reason\": ", t->order.take, phases[t->phase]);
     json_put_string(f, t->reason);
+    fputs(", \"choice\": ", f);
+    json_put_string(f, conductor_parts_choice(c, t, choice) ? choice : "");
     fputs(", \"parts\": [", f);
     for (int k = 0; k < t->order.n; k++) {
         fprintf(f, "%s{\"name\": \"%s\", \"state\": \"%s\", \"why\": ", k ? ", " : "",
@@ -68,7 +71,7 @@ static void put_takes(const struct conductor *c, FILE *f)
         if (c->take[i].phase == TAKE_FREE)
             continue;
         fputs(any ? ", " : "", f);
-        put_take(&c->take[i], f);
+        put_take(c, &c->take[i], f);
         any = true;
     }
     fputs("]", f);

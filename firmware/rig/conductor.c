@@ -2,23 +2,11 @@
 
 #include "firmware/rig/conductor_inner.h"
 
-#include <stdarg.h>
 #include <string.h>
 
 #define SECOND INT64_C(1000000000)
 
 /* ---- actions ---- */
-
-static void set_text(char *out, size_t cap, const char *format, ...)
-    __attribute__((format(printf, 3, 4)));
-
-static void set_text(char *out, size_t cap, const char *format, ...)
-{
-    va_list list;
-    va_start(list, format);
-    vsnprintf(out, cap, format, list);
-    va_end(list);
-}
 
 static struct conductor_action *add_action(struct conductor *c, enum conductor_action_kind kind)
 {
@@ -57,7 +45,7 @@ static void tell(struct conductor *c, const struct conductor_take *t, err_t err,
     a->asked = t->asked;
     a->err = err;
     memcpy(a->take, t->order.take, sizeof a->take);
-    set_text(a->text, sizeof a->text, "%s", text);
+    snprintf(a->text, sizeof a->text, "%s", text);
     c->last =
         (struct conductor_last){.serial = t->order.serial, .err = err, .within_ns = t->within_ns};
     memcpy(c->last.take, a->take, sizeof c->last.take);
@@ -80,8 +68,8 @@ err_t conductor_check(const struct conductor *c, int64_t now_ns)
         return err_fail(ERR_BUSY, "a capture runs");
     if (used == CONDUCTOR_TAKES)
         return err_fail(ERR_LIMIT,
-                        "%d captures wait for members: bring those back, or give captures up "
-                        "with hdrig rig forget ID",
+                        "%d captures wait for members: bring those back, or end them with hdrig "
+                        "rig accept ID or hdrig rig forget ID",
                         used);
     return conductor_members_check_all(c, now_ns);
 }
@@ -199,77 +187,24 @@ static err_t on_press(struct conductor *c, const struct conductor_event *ev)
     return OK;
 }
 
-/* ---- parts ---- */
+/* ---- shooting and gathering ---- */
 
-static void fail_part(struct conductor_take *t, int k, const char *why)
+static void begin_gathering(struct conductor *c, struct conductor_take *t)
 {
-    t->part[k] = PART_FAILED;
-    set_text(t->why[k], sizeof t->why[k], "%s", why);
+    t->phase = TAKE_GATHERING;
+    if (is_current(c, t))
+        c->current = -1;
 }
 
-/* What an announcement says about a part that waits. */
-static void look_at_part(struct conductor_take *t, int k, const struct conductor_member *m,
-                         int64_t now_ns)
+/* All boards are as they were when the order was given: none was started again or is away. */
+static bool are_there(struct conductor *c, const struct conductor_take *t)
 {
-    const struct message_hold *held = m ? conductor_members_hold(m, t->order.take) : NULL;
-    if (!m || !m->said.online)
-        return;
-    if (t->part[k] == PART_STORED && !held && !m->said.serial &&
-        now_ns - t->ordered_ns > CONDUCTOR_IDLE_NS)
-        fail_part(t, k, "lost its part");
-    if (t->part[k] != PART_WAITS)
-        return;
-    const bool works = m->said.serial && (!t->order.serial || m->said.serial == t->order.serial);
-    if (held && t->phase == TAKE_SHOOTING && !t->retry_ns[k]) {
-        t->retry_ns[k] = now_ns + CONDUCTOR_RETRY_NS; // its report, with times, is on its way
-    } else if (held && now_ns >= t->retry_ns[k]) {
-        t->part[k] = PART_STORED;
-    } else if (held) {
-        return;
-    } else if (t->boot[k][0] && strcmp(m->said.boot, t->boot[k]) != 0) {
-        fail_part(t, k, "was started again while it photographed");
-    } else if (!works && now_ns - t->ordered_ns > CONDUCTOR_IDLE_NS &&
-               now_ns - m->since_ns > CONDUCTOR_IDLE_NS) {
-        fail_part(t, k, "did not take the order");
-    } else if (now_ns - t->ordered_ns >
-               CONDUCTOR_HANG_NS + (int64_t)(conductor_starts_s(&t->order) * 1e9)) {
-        fail_part(t, k, "does not come to an end");
-    }
-}
-
-static int count_parts(const struct conductor_take *t, enum conductor_part p)
-{
-    int n = 0;
-    for (int k = 0; k < t->order.n; k++)
-        n += t->part[k] == p;
-    return n;
-}
-
-/* Whether a part that failed makes the take fail, and why. */
-static bool has_failed(const struct conductor *c, struct conductor_take *t, char why[TAKE_TEXT])
-{
-    for (int k = 0; k < t->order.n; k++) {
-        if (t->part[k] != PART_FAILED)
-            continue;
-        if (!t->stopped) // those that fail later were stopped for it
-            set_text(t->reason, sizeof t->reason, "%s: %s", t->order.member[k], t->why[k]);
-        memcpy(why, t->reason, TAKE_TEXT);
-        if (!c->cfg.set->rig_partial || count_parts(t, PART_FAILED) == t->order.n)
-            return true;
-    }
-    return false;
-}
-
-/* A partial take does not wait for members that are away. */
-static void leave_out_away(struct conductor *c, struct conductor_take *t, int64_t now_ns)
-{
-    for (int k = 0; k < t->order.n && c->cfg.set->rig_partial; k++) {
+    bool all = true;
+    for (int k = 0; k < t->order.n && all; k++) {
         const struct conductor_member *m = conductor_members_find(c, t->order.member[k]);
-        const bool waits = t->part[k] == PART_WAITS || t->part[k] == PART_STORED;
-        if (waits && (!m || !m->said.online) && now_ns - t->ordered_ns > CONDUCTOR_AWAY_NS &&
-            (!m || now_ns - m->since_ns > CONDUCTOR_AWAY_NS))
-            fail_part(t, k, "is away");
+        all = m && m->said.online && strcmp(m->said.boot, t->boot[k]) == 0;
     }
+    return all;
 }
 
 /* Shot, but not well: once more under another id if all members are still there, else given up. */
@@ -277,12 +212,7 @@ static void shoot_again(struct conductor *c, struct conductor_take *t, const cha
                         int64_t now_ns)
 {
     struct conductor_take *next = free_take(c);
-    bool again = is_current(c, t) && t->tries < CONDUCTOR_TRIES && next;
-    for (int k = 0; k < t->order.n && again; k++) {
-        const struct conductor_member *m = conductor_members_find(c, t->order.member[k]);
-        again = m && m->said.online && strcmp(m->said.boot, t->boot[k]) == 0;
-    }
-    if (!again) {
+    if (!is_current(c, t) || t->tries >= CONDUCTOR_TRIES || !next || !are_there(c, t)) {
         drop_take(c, t, why);
         return;
     }
@@ -296,31 +226,30 @@ static void shoot_again(struct conductor *c, struct conductor_take *t, const cha
     record_take(c, next, now_ns);
 }
 
-static void begin_gathering(struct conductor *c, struct conductor_take *t)
-{
-    t->phase = TAKE_GATHERING;
-    if (is_current(c, t))
-        c->current = -1;
-}
-
-/* While members shoot. A member that is away does not keep the rig from the next press. */
+/* While members shoot. A member that is away does not keep the rig from the next press. Once one
+ * was cut off it is not shot again, and the parts of the others are wanted. */
 static void follow_shooting(struct conductor *c, struct conductor_take *t, int64_t now_ns)
 {
     char why[TAKE_TEXT];
     bool all = true;
     for (int k = 0; k < t->order.n; k++) {
         const struct conductor_member *m = conductor_members_find(c, t->order.member[k]);
-        look_at_part(t, k, m, now_ns);
+        conductor_parts_look(t, k, m, now_ns);
         all = all && (t->part[k] != PART_WAITS || !m || !m->said.online);
     }
-    leave_out_away(c, t, now_ns);
-    const bool failed = has_failed(c, t, why);
-    if (failed && !t->stopped)
+    conductor_parts_leave_out(c, t, now_ns);
+    const bool failed = conductor_parts_failed(c, t, why), there = are_there(c, t);
+    if (failed && there && !t->stopped) { // those that fail later were stopped for it
+        memcpy(t->reason, why, sizeof t->reason);
         order(c, &t->order, MESSAGE_CANCEL);
-    t->stopped = failed;
-    if (!all || (c->cfg.set->rig_partial && count_parts(t, PART_WAITS) > 0))
+        t->stopped = true;
+    }
+    if (!all || (c->cfg.set->rig_partial && conductor_parts_count(t, PART_WAITS) > 0))
         return; // until it is left out, or back
-    if (failed || conductor_starts_apart(c, t, why))
+    if (t->stopped) {
+        memcpy(why, t->reason, sizeof why);
+        shoot_again(c, t, why, now_ns);
+    } else if (conductor_starts_apart(c, t, why))
         shoot_again(c, t, why, now_ns);
     else
         begin_gathering(c, t);
@@ -342,23 +271,9 @@ static void fetch_parts(struct conductor *c, struct conductor_take *t, int64_t n
     }
 }
 
-static void follow_gathering(struct conductor *c, struct conductor_take *t, int64_t now_ns)
+static void join_parts(struct conductor *c, struct conductor_take *t)
 {
     char why[TAKE_TEXT];
-    for (int k = 0; k < t->order.n; k++)
-        look_at_part(t, k, conductor_members_find(c, t->order.member[k]), now_ns);
-    leave_out_away(c, t, now_ns);
-    if (has_failed(c, t, why)) {
-        drop_take(c, t, why);
-        return;
-    }
-    fetch_parts(c, t, now_ns);
-    if (count_parts(t, PART_FETCHED) + count_parts(t, PART_FAILED) < t->order.n)
-        return;
-    if (conductor_starts_apart(c, t, why)) {
-        drop_take(c, t, why);
-        return;
-    }
     t->phase = TAKE_JOINING;
     struct conductor_action *a = add_action(c, CONDUCTOR_JOIN);
     memcpy(a->take, t->order.take, sizeof a->take);
@@ -371,7 +286,40 @@ static void follow_gathering(struct conductor *c, struct conductor_take *t, int6
             memcpy(a->missing[a->n_missing++], t->order.member[k], TAKE_MEMBER_CAP);
     for (int i = 0; i < t->n_out && a->n_missing < MESSAGE_MEMBERS; i++)
         memcpy(a->missing[a->n_missing++], t->out[i], TAKE_MEMBER_CAP);
+    if (conductor_parts_first(t, why))
+        memcpy(t->reason, why, sizeof t->reason);
     snprintf(a->text, sizeof a->text, "%s", t->reason);
+}
+
+/* A part that was lost does not take those of the others with it: the press ends with a sentence,
+ * and the owner decides. */
+static void follow_gathering(struct conductor *c, struct conductor_take *t, int64_t now_ns)
+{
+    char why[TAKE_TEXT];
+    for (int k = 0; k < t->order.n; k++)
+        conductor_parts_look(t, k, conductor_members_find(c, t->order.member[k]), now_ns);
+    conductor_parts_leave_out(c, t, now_ns);
+    const bool failed = conductor_parts_failed(c, t, why);
+    if (failed && conductor_parts_count(t, PART_FAILED) == t->order.n) {
+        drop_take(c, t, why);
+        return;
+    }
+    fetch_parts(c, t, now_ns);
+    if (failed && !t->told) {
+        t->told = true;
+        conductor_parts_choice(c, t, why);
+        tell(c, t, ERR_LOST, why);
+        t->asked = false;
+    }
+    const int open =
+        t->order.n - conductor_parts_count(t, PART_FETCHED) - conductor_parts_count(t, PART_FAILED);
+    if (failed || open > 0)
+        return;
+    if (conductor_starts_apart(c, t, why)) {
+        drop_take(c, t, why);
+        return;
+    }
+    join_parts(c, t);
 }
 
 /* A dropped take stays in memory until every member was seen without a part of it. */
@@ -385,7 +333,7 @@ static void follow_dropped(struct conductor *c, struct conductor_take *t, int64_
             (!m->said.serial || m->said.serial != t->order.serial))
             t->part[k] = PART_GONE;
     }
-    if (count_parts(t, PART_GONE) < t->order.n)
+    if (conductor_parts_count(t, PART_GONE) < t->order.n)
         return;
     act_on_take(c, CONDUCTOR_CLEAR, t);
     t->phase = TAKE_FREE;
@@ -398,13 +346,13 @@ static void follow_metering(struct conductor *c, struct conductor_take *t, int64
     for (int k = 0; k < t->order.n; k++) {
         const struct conductor_member *m = conductor_members_find(c, t->order.member[k]);
         if (t->part[k] == PART_WAITS && m && !m->said.online)
-            fail_part(t, k, "went away while it metered");
+            conductor_parts_fail(t, k, "went away while it metered");
         else if (t->part[k] == PART_WAITS && now_ns - t->ordered_ns > CONDUCTOR_METER_NS)
-            fail_part(t, k, "did not meter in time");
+            conductor_parts_fail(t, k, "did not meter in time");
     }
-    if (has_failed(c, t, why))
+    if (conductor_parts_failed(c, t, why))
         drop_take(c, t, why);
-    else if (count_parts(t, PART_WAITS) == 0)
+    else if (conductor_parts_count(t, PART_WAITS) == 0)
         plan_take(c, t, now_ns);
 }
 
@@ -464,7 +412,7 @@ static void on_metered(struct conductor *c, struct conductor_take *t, int k,
     if (t->part[k] != PART_WAITS)
         return;
     if (r->kind == MESSAGE_FAILED) {
-        fail_part(t, k, r->reason);
+        conductor_parts_fail(t, k, r->reason);
         return;
     }
     t->part[k] = PART_STORED;
@@ -478,9 +426,9 @@ static void on_shot(struct conductor *c, struct conductor_take *t, int k,
     if (t->part[k] != PART_WAITS || strcmp(r->take, t->order.take) != 0)
         return;
     if (r->kind == MESSAGE_FAILED) {
-        fail_part(t, k, r->reason);
+        conductor_parts_fail(t, k, r->reason);
     } else if (r->kind == MESSAGE_STORED && !conductor_starts_add(t, k, r)) {
-        fail_part(t, k, "its frames are of another time");
+        conductor_parts_fail(t, k, "its frames are of another time");
     } else if (r->kind == MESSAGE_STORED) {
         conductor_starts_list(c, t, k, r);
         t->part[k] = PART_STORED;
@@ -538,13 +486,15 @@ static void on_fetched(struct conductor *c, const struct conductor_event *ev)
     if (k < 0 || t->part[k] != PART_FETCHING || t->phase != TAKE_GATHERING)
         return;
     if (ev->err == ERR_FORMAT) {
-        fail_part(t, k, ev->text);
+        conductor_parts_fail(t, k, ev->text);
+        t->retry_ns[k] = INT64_MAX; // what is there is not one
     } else if (ev->err) {
         t->part[k] = PART_STORED;
         t->retry_ns[k] = ev->now_ns + CONDUCTOR_RETRY_NS;
-        set_text(t->why[k], sizeof t->why[k], "%s", ev->text);
+        snprintf(t->why[k], sizeof t->why[k], "%s", ev->text);
     } else if (!conductor_starts_add(t, k, ev->report)) {
-        fail_part(t, k, "its frames are of another time");
+        conductor_parts_fail(t, k, "its frames are of another time");
+        t->retry_ns[k] = INT64_MAX;
     } else {
         t->part[k] = PART_FETCHED;
         t->why[k][0] = 0;
@@ -560,10 +510,6 @@ static void on_joined(struct conductor *c, const struct conductor_event *ev)
     struct conductor_take *t = find_take(c, ev->take);
     if (!t || t->phase != TAKE_JOINING)
         return;
-    if (ev->err == ERR_FORMAT) {
-        drop_take(c, t, ev->text);
-        return;
-    }
     if (ev->err) { // a full disk: again when there is room
         t->phase = TAKE_GATHERING;
         for (int k = 0; k < t->order.n; k++) {
@@ -571,7 +517,7 @@ static void on_joined(struct conductor *c, const struct conductor_event *ev)
                 continue;
             t->part[k] = PART_STORED;
             t->retry_ns[k] = ev->now_ns + 5 * CONDUCTOR_RETRY_NS;
-            set_text(t->why[k], sizeof t->why[k], "%s", ev->text);
+            snprintf(t->why[k], sizeof t->why[k], "%s", ev->text);
         }
         return;
     }
@@ -642,6 +588,14 @@ static err_t on_forget(struct conductor *c, const char *what)
     snprintf(o.take, sizeof o.take, "%s", what);
     order(c, &o, MESSAGE_RELEASE);
     return OK;
+}
+
+static err_t on_accept(struct conductor *c, const struct conductor_event *ev)
+{
+    struct conductor_take *t = find_take(c, ev->take);
+    if (!t || t->phase != TAKE_GATHERING)
+        return err_fail(ERR_ARG, "%.40s is no capture that waits for members", ev->take);
+    return conductor_parts_accept(c, t);
 }
 
 /* ---- itself ---- */
@@ -734,6 +688,9 @@ err_t conductor_event(struct conductor *c, const struct conductor_event *ev)
         break;
     case CONDUCTOR_FORGET:
         e = on_forget(c, ev->take);
+        break;
+    case CONDUCTOR_ACCEPT:
+        e = on_accept(c, ev);
         break;
     case CONDUCTOR_TICK:
         break;

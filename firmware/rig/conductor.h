@@ -14,15 +14,20 @@
  *   SHOOTING  -> GATHERING  every part is stored, and its frames were taken together
  *   SHOOTING  -> RECORDING  they were not, or a member failed: the press is shot again, under
  *                           another id, CONDUCTOR_TRIES times in all
- *   GATHERING -> JOINING    every part is fetched
+ *   GATHERING -> JOINING    every part is fetched; of a partial take, or one that was ACCEPTed,
+ *                           every part that can be had
  *   JOINING   -> done       the joint take is on the disk; members are told to RELEASE their parts,
  *                           again whenever one announces a part of a take that is on the disk
- *   any       -> DROPPING   it cannot become whole: the reason is told
+ *   any       -> DROPPING   no part of it is left, its frames were not taken together, it was
+ *                           cancelled or given up (FORGET): the reason is told
  *   DROPPING  -> DROPPED    that is on the disk
  *   DROPPED   -> done       no member has a part of it any more
  * A member that goes away while it shoots leaves the take in GATHERING: it is asked again when it
- * is back. One that is back, does not work on the take and holds no part of it never will: the take
- * is dropped, or with `partial` goes on without it.
+ * is back. One that is back, does not work on the take and holds no part of it never will, unless
+ * its disk comes late. Neither that nor a part that was lost makes the conductor drop the parts of
+ * others: the press ends with a sentence, and the take waits until its owner says ACCEPT (join what
+ * is there) or FORGET. With `partial` it goes on without. An ACCEPT is forgotten when the conductor
+ * is started again: the take waits as before.
  *
  * Invariants: parts are released only when the joint take is on the conductor's disk, or the take
  * was dropped on it; a take is joined only of parts that members stored under its id; every press
@@ -90,6 +95,8 @@ struct conductor_take {
     int tries;
     bool stopped;           // members were told to end it
     bool asked;             // someone waits for the outcome of the press
+    bool told;              // that a part is missing, which ended the press
+    bool accepted;          // joined of what is there
     char reason[TAKE_TEXT]; // why it was dropped; else a warning, or ""
     /* frames seen so far, by index: the earliest and the latest start, and whose they are */
     bool has_start[BRACKET_EXPOSURES_MAX];
@@ -114,6 +121,7 @@ enum conductor_event_kind {
     CONDUCTOR_MEMORY,   // order: of a take that was not finished when the last conductor ended;
                         // RELEASE: that was dropped
     CONDUCTOR_FORGET,   // take: the user gives it up; or a board that was taken away
+    CONDUCTOR_ACCEPT,   // take: the user wants what there is of it
     CONDUCTOR_TICK
 };
 
@@ -210,9 +218,15 @@ MUST_USE err_t conductor_init(struct conductor *c, const struct conductor_config
 /* Handle an event; then call conductor_action until it is false.
  * err:  of PRESS, why there is none: ERR_BUSY (one runs), ERR_LOST (broker, members that are not
  *       there, not ready, of another version, or do not know the time well enough), ERR_LIMIT (too
- *       many takes wait); of FORGET and CANCEL: ERR_ARG */
+ *       many takes wait); of FORGET and CANCEL: ERR_ARG; of ACCEPT: ERR_ARG, ERR_LOST (no
+ *       part) */
 MUST_USE err_t conductor_event(struct conductor *c, const struct conductor_event *ev);
 bool conductor_action(struct conductor *c, struct conductor_action *out);
+
+/* What a take in GATHERING lacks, and the commands that end it; false: nothing, or it does not wait
+ * for that. */
+bool conductor_parts_choice(const struct conductor *c, const struct conductor_take *t,
+                            char out[TAKE_TEXT]);
 
 /* When a TICK is due, CLOCK_MONOTONIC. */
 int64_t conductor_deadline(const struct conductor *c, int64_t now_ns);

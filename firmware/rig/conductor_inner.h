@@ -30,6 +30,28 @@ bool conductor_members_meters(const struct conductor *c, const char *name);
 /* Enter the members of a press, in the order of their cameras, and those that cannot take part. */
 void conductor_members_gather(const struct conductor *c, struct conductor_take *t, int64_t now_ns);
 
+/* ---- conductor_parts.c ---- */
+
+void conductor_parts_fail(struct conductor_take *t, int k, const char *why);
+int conductor_parts_count(const struct conductor_take *t, enum conductor_part p);
+
+/* What an announcement says about a part. m: NULL: its member is not known any more */
+void conductor_parts_look(struct conductor_take *t, int k, const struct conductor_member *m,
+                          int64_t now_ns);
+
+/* The first part that failed, as a sentence; false: none. */
+bool conductor_parts_first(const struct conductor_take *t, char why[TAKE_TEXT]);
+
+/* The same, if it keeps the take from being joined. */
+bool conductor_parts_failed(const struct conductor *c, const struct conductor_take *t,
+                            char why[TAKE_TEXT]);
+
+/* A partial take, or one that was accepted, does not wait for members that are away. */
+void conductor_parts_leave_out(struct conductor *c, struct conductor_take *t, int64_t now_ns);
+
+/* From now on it is partial, without those that are away. err: ERR_LOST (no part can be had) */
+MUST_USE err_t conductor_parts_accept(const struct conductor *c, struct conductor_take *t);
+
 /* ---- conductor_starts.c ---- */
 
 /* Sum of an order's exposures, s. */

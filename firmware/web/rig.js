@@ -119,7 +119,8 @@ function takeCard(t) {
   bar.value = ready;
   bar.setAttribute("aria-label", `boards of ${t.id || "the new capture"}`);
   card.append(bar);
-  if (t.reason) card.append(element("p", t.reason, "warnings"));
+  for (const text of [t.reason, t.choice])
+    if (text) card.append(element("p", text, "warnings"));
   parts.append(...partItems(t.parts));
   card.append(parts);
   return card;

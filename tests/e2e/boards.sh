@@ -60,7 +60,7 @@ press 1 'b2 is not there since'
 board b2
 wait_ready 20 || fail "the rig is not ready again: $(sentence)"
 
-# killed while it photographs: the press fails by name, nothing is left of it
+# killed while it photographs: the press fails by name, and what is left of it waits for its owner
 ask hub capture >"$OUT/killed.txt" 2>&1 &
 asking=$!
 sleep 0.35
@@ -70,8 +70,47 @@ wait $asking
 grep -Eq 'b1: (was started again|did not take|the order came)|b1 is not' "$OUT/killed.txt" ||
     grep -q "$OUT/hub/store" "$OUT/killed.txt" || fail "a kill says $(cat "$OUT/killed.txt")"
 wait_ready 20 || fail "the rig is not ready after a kill: $(sentence)"
+for id in $(grep -o 'rig forget [0-9a-f-]*' "$OUT/killed.txt" | cut -d' ' -f3); do
+    ask hub rig forget "$id" 2>"$ERR" || fail "forget $id: $(cat "$ERR")"
+done
 quiet
 press 0 "$OUT/hub/store"
+
+# a part is deleted on its board: the others' parts wait for their owner, who joins them
+prlimit --pid "${pid[hub]}" --fsize=2000:2000 # as good as full: no part can be fetched
+ask hub capture >"$OUT/lost.txt" 2>&1 &
+asking=$!
+for _ in $(seq 200); do [ "$(held)" = 3 ] && break; sleep 0.1; done
+part=$(find "$OUT/b1/store" -maxdepth 2 -path '*/[0-9a-f]*/manifest.json')
+[ -n "$part" ] || fail "b1 has no part: $(cat "$OUT/lost.txt")"
+kill -0 "${pid[hub]}" || fail "a disk that is full ends the conductor"
+kill -KILL "${pid[b1]}" "${pid[hub]}"
+wait $asking
+rm -rf "${part%/*}"
+board hub
+board b1
+for _ in $(seq 300); do
+    choice=$(ask hub rig status 2>/dev/null |
+        grep 'b1: lost its part; 2 of 3 parts are there: hdrig rig accept')
+    [ -z "$choice" ] || break
+    sleep 0.1
+done
+[ -n "$choice" ] || fail "nobody tells of a lost part: $(ask hub rig status)"
+id=$(sed 's/.*accept \([0-9a-f-]*\).*/\1/' <<<"$choice")
+[ "$(held)" = 2 ] || fail "$(held) parts are held, not 2"
+says_of() { # regex command...
+    ask hub "${@:2}" >"$OUT/stdout.txt" 2>&1
+    grep -Eq "$1" "$OUT/stdout.txt" || fail "${*:2} says $(cat "$OUT/stdout.txt"), expected $1"
+}
+says_of 'is no capture that waits' rig accept 00000000-000001
+ask hub rig accept "$id" 2>"$ERR" || fail "accept $id: $(cat "$ERR")"
+quiet
+grep -q '"missing": \["b1"\]' "$OUT/hub/store/$id/manifest.json" ||
+    fail "an accepted take does not say what it lacks"
+check_joint "$OUT/hub/store/$id/manifest.json" "b0 b2" 500
+mkdir "$OUT/accepted"
+mv "$OUT/hub/store/$id" "$OUT/accepted/"
+wait_ready 20 || fail "the rig is not ready after a lost part: $(sentence)"
 
 # the broker dies and comes back
 kill -KILL "${pid[broker]}"

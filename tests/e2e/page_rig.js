@@ -22,7 +22,9 @@ function rigOf(n) {
   });
   return { role: "conductor", name: "rig", board: "board-01", state: "leads", members, views,
     sentence: "board-05 is not there since 754 s", ready: false,
-    takes: [{ id: "0123abcd-000017", phase: "gathering", reason: "", parts }],
+    takes: [{ id: "0123abcd-000017", phase: "gathering", reason: "", parts,
+      choice: "board-05: the camera was lost; 2 of 8 parts are there: hdrig rig accept " +
+        "0123abcd-000017 joins these, hdrig rig forget 0123abcd-000017 gives them up" }],
     last: { id: "0123abcd-000016", ok: true, sentence: "", skew_ms: [1.4, 1.38, 1.39],
       within_ms: 0.3, starts } };
 }

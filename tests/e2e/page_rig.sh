@@ -67,6 +67,8 @@ is "document.querySelectorAll('#rig-takes .parts li').length" 5
 is "$(text '#rig-takes .failed')" '1 failed: board-05 (the camera was lost)'
 is "$(text '#rig-takes .stored')" '2 stored on the board: board-02, board-07'
 is "$(text '#rig-takes p')" 'brings the pictures here: 1 of 8 boards'
+is "$(text '#rig-takes .warnings')" "board-05: the camera was lost; 2 of 8 parts are \
+there: hdrig rig accept 0123abcd-000017 joins these, hdrig rig forget 0123abcd-000017 gives them up"
 is "document.querySelectorAll('#rig-last .start').length" 24
 is "document.querySelectorAll('#rig-map .view').length" 8
 is "document.querySelectorAll('#rig-map .view.away text')[0].textContent" 'board-05, not there'

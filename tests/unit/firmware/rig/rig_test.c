@@ -21,7 +21,7 @@ static void forget_late_parts(struct world *w)
         const int held = n->n_holds;
         for (int i = held - 1; i >= 0; i--) {
             const struct disk_take *d = disk_find(w, n->hold[i].take);
-            assert_true(w->set.rig_partial && d->committed);
+            assert_true((w->set.rig_partial || d->accepted) && d->committed);
             assert_false(leader_has(w, n->hold[i].take, n->name));
             struct conductor_event ev = {.kind = CONDUCTOR_FORGET, .take = n->hold[i].take};
             assert_int_equal(leader_event(w, ev), OK);
@@ -31,10 +31,32 @@ static void forget_late_parts(struct world *w)
     w->gives_up = false;
 }
 
+/* A take that waits for its owner is joined of what there is, or given up. */
+static void owner_decides(struct world *w, double share)
+{
+    char text[TAKE_TEXT];
+    for (int i = 0; i < CONDUCTOR_TAKES && w->node[LEADER].alive; i++) {
+        const struct conductor_take *t = &w->leader.take[i];
+        if (!conductor_parts_choice(&w->leader, t, text) || chance(w) > share)
+            continue;
+        struct disk_take *d = disk_find(w, t->order.take);
+        assert_non_null(strstr(text, t->order.take));
+        struct conductor_event ev = {.kind = CONDUCTOR_ACCEPT, .take = d->order.take};
+        if (chance(w) < 0.3)
+            ev.kind = CONDUCTOR_FORGET;
+        const err_t e = leader_event(w, ev);
+        assert_true(!e || (e == ERR_LOST && ev.kind == CONDUCTOR_ACCEPT));
+        d->accepted = d->accepted || (!e && ev.kind == CONDUCTOR_ACCEPT);
+        w->accepts += !e && ev.kind == CONDUCTOR_ACCEPT;
+    }
+}
+
 static void finish(struct world *w)
 {
     world_heal(w);
     world_run(w, 400);
+    owner_decides(w, 1);
+    world_run(w, 100);
     assert_int_equal(w->waits, 0);
     assert_int_equal(open_takes(w), 0);
     forget_late_parts(w);
@@ -226,9 +248,130 @@ static void test_member_dies_while_it_shoots(void **state)
     world_run(w, 60);
     assert_int_equal(w->joints, 0);
     assert_int_equal(w->told, 1);
-    assert_non_null(strstr(w->last, "board-01: was started again while it photographed"));
+    assert_string_equal(w->last, "board-01: was started again while it photographed; 3 of 4 parts "
+                                 "are there: hdrig rig accept 0123abcd-000101 joins these, hdrig "
+                                 "rig forget 0123abcd-000101 gives them up");
     assert_true(world_press(w));
     world_run(w, 20);
+    assert_int_equal(w->joints, 1);
+    assert_int_equal(open_takes(w), 1); // for its owner
+    struct conductor_event ev = {.kind = CONDUCTOR_FORGET, .take = "0123abcd-000101"};
+    assert_int_equal(leader_event(w, ev), OK);
+    finish(w);
+    assert_int_equal(w->joints, 1);
+    world_close(w);
+}
+
+static err_t accept(struct world *w, const char *take)
+{
+    struct conductor_event ev = {.kind = CONDUCTOR_ACCEPT, .take = take};
+    const err_t e = leader_event(w, ev);
+    if (!e)
+        disk_find(w, take)->accepted = true;
+    return e;
+}
+
+/* A press whose board 3 is cut off once its part is stored; four boards. */
+static struct world *cut_world(uint64_t seed)
+{
+    struct world *w = ready_world(4, seed);
+    w->set.bracket_mode = CONFIG_LIST;
+    w->set.bracket_middle_us = 10000;
+    assert_true(world_press(w));
+    world_run(w, 0.6);
+    cut_link(w, 3, 100000);
+    world_run(w, 60);
+    assert_int_equal(w->joints, 0);
+    assert_int_equal(w->told, 0);
+    return w;
+}
+
+static void plug_in(struct world *w, int k)
+{
+    w->node[k].linked = true;
+    world_run(w, 30);
+}
+
+/* Somebody deletes the part of a board that is away: the others' parts stay until the owner says
+ * what is to become of them. */
+static void test_lost_part_waits_for_the_owner(void **state)
+{
+    (void)state;
+    struct world *w = cut_world(11);
+    char text[TAKE_TEXT];
+    struct part lost = w->node[3].hold[0];
+    w->node[3].n_holds = 0;
+    member_holds(w, 3);
+    plug_in(w, 3);
+    assert_int_equal(w->told, 1);
+    assert_non_null(strstr(w->last, "board-03: lost its part; 3 of 4 parts are there: hdrig rig "
+                                    "accept 0123abcd-000101"));
+    assert_int_equal(open_holds(w), 3);
+    kill_node(w, LEADER, 5); // over a restart
+    world_run(w, 60);
+    assert_int_equal(open_holds(w), 3);
+    assert_true(conductor_parts_choice(&w->leader, &w->leader.take[0], text));
+    assert_non_null(strstr(text, "board-03: lost its part"));
+    assert_int_equal(accept(w, "0123abcd-000102"), ERR_ARG);
+    assert_int_equal(accept(w, "0123abcd-000101"), OK);
+    world_run(w, 20);
+    assert_int_equal(w->joints, 1);
+    assert_string_equal(w->last, "board-03: lost its part");
+    assert_false(w->disk[0].has[3]);
+    assert_int_equal(open_holds(w), 0);
+    w->node[3].hold[w->node[3].n_holds++] = lost; // found again, too late
+    member_holds(w, 3);
+    world_run(w, 2);
+    finish(w);
+    world_close(w);
+}
+
+/* The disk of a board comes late: its part is not lost after all. */
+static void test_part_that_comes_back(void **state)
+{
+    (void)state;
+    struct world *w = cut_world(11);
+    w->node[3].n_holds = 0;
+    member_holds(w, 3);
+    plug_in(w, 3);
+    assert_int_equal(w->told, 1);
+    w->node[3].n_holds = 1;
+    member_holds(w, 3);
+    world_run(w, 20);
+    assert_int_equal(w->joints, 1);
+    assert_string_equal(w->last, "");
+    assert_true(w->disk[0].has[3]);
+    finish(w);
+    world_close(w);
+}
+
+static void test_board_that_is_gone_for_good(void **state)
+{
+    (void)state;
+    struct world *w = cut_world(11);
+    char text[TAKE_TEXT];
+    assert_true(conductor_parts_choice(&w->leader, &w->leader.take[0], text));
+    assert_non_null(strstr(text, "board-03: is away; 3 of 4 parts are there"));
+    assert_int_equal(accept(w, "0123abcd-000101"), OK);
+    world_run(w, 5);
+    assert_int_equal(w->joints, 1);
+    assert_int_equal(w->told, 1);
+    assert_string_equal(w->last, "board-03: is away");
+    assert_int_equal(open_holds(w), 1);
+    plug_in(w, 3);
+    finish(w);
+    world_close(w);
+
+    w = cut_world(12); // nothing is there
+    for (int k = 0; k < 3; k++)
+        cut_link(w, k, 200);
+    kill_node(w, LEADER, 5);
+    world_run(w, 60);
+    assert_int_equal(accept(w, "0123abcd-000101"), ERR_LOST);
+    assert_non_null(strstr(err_text(), "no board that is there has a part of it"));
+    world_run(w, 200);
+    assert_int_equal(open_holds(w), 4); // those that are back wait for the last one
+    plug_in(w, 3);
     assert_int_equal(w->joints, 1);
     finish(w);
     world_close(w);
@@ -384,12 +527,14 @@ static void soak(const struct soak *s, long *presses, long *kills)
         assert_true(guard < 200 * s->presses);
         begun += world_press(w);
         world_run(w, 1 + 8 * chance(w));
+        owner_decides(w, 0.3);
     }
     finish(w);
     assert_int_equal(w->told + w->lost, begun);
-    printf("%d members, seed %d: %ld takes begun, %ld joined, %ld outcomes told, %ld lost with the "
-           "conductor, %ld kills, %ld cuts\n",
-           s->members, (int)s->seed, begun, w->joints, w->told, w->lost, w->kills, w->cuts);
+    printf("%d members, seed %d: %ld takes begun, %ld joined, %ld accepted, %ld outcomes told, %ld "
+           "lost with the conductor, %ld kills, %ld cuts\n",
+           s->members, (int)s->seed, begun, w->joints, w->accepts, w->told, w->lost, w->kills,
+           w->cuts);
     assert_true(w->joints > begun / 3);
     *presses += begun;
     *kills += w->kills;
@@ -398,8 +543,8 @@ static void soak(const struct soak *s, long *presses, long *kills)
 
 static void test_faults(void **state)
 {
-    const struct faults some = {0.02, 0.02, 0.1, 0.0005, 0.0005, 0.0005, true};
-    const struct faults many = {0.02, 0.02, 0.3, 0.006, 0.002, 0.002, true};
+    const struct faults some = {0.02, 0.02, 0.1, 0.0005, 0.0005, 0.0005, true, 0};
+    const struct faults many = {0.02, 0.02, 0.3, 0.006, 0.002, 0.002, true, 0.002};
     const struct soak soaks[] = {
         {1, 16, 600, some, false, 0}, {2, 16, 500, some, false, 100},
         {3, 4, 500, many, false, 0},  {4, 16, 300, some, true, 100},
@@ -423,6 +568,9 @@ int main(void)
         cmocka_unit_test(test_presses_that_are_refused),
         cmocka_unit_test(test_boards_that_meter),
         cmocka_unit_test(test_member_dies_while_it_shoots),
+        cmocka_unit_test(test_lost_part_waits_for_the_owner),
+        cmocka_unit_test(test_part_that_comes_back),
+        cmocka_unit_test(test_board_that_is_gone_for_good),
         cmocka_unit_test(test_partial_take),
         cmocka_unit_test(test_late_delivery),
         cmocka_unit_test(test_broker_away_for_an_hour),

@@ -47,7 +47,7 @@ struct node {
 
 struct disk_take {
     struct message_order order;
-    bool pending, dropped, committed;
+    bool pending, dropped, committed, accepted;
     bool has[MESSAGE_MEMBERS];
     struct part part[MESSAGE_MEMBERS];
 };
@@ -75,6 +75,7 @@ struct faults {
     double aborts, late, doubles; // shares of takes and messages
     double kills, cuts, brokers;  // a second: of each board, each link, the broker
     bool leader_dies;
+    double loses; // a part, each second
 };
 
 struct world {
@@ -94,7 +95,7 @@ struct world {
     int n_queue, cap_queue;
     struct happening **queue; // a heap
     int waits;                // presses without an outcome yet
-    long presses, refused, joints, told, lost, kills, cuts, retakes, conflicts;
+    long presses, refused, joints, told, lost, kills, cuts, accepts, retakes, conflicts;
     char last[TAKE_TEXT], last_take[TAKE_ID_CAP];
     int64_t last_ns;
 };
