@@ -493,20 +493,32 @@ static void on_frame(struct bracket *b, struct camera_state *c, const struct bra
 
 /* ---- other events ---- */
 
+/* A reference that a frame of the plan before was like in the end. */
+static bool keeps_reference(const struct camera_state *c, const struct bracket_event *ev)
+{
+    const struct label_request *newest = label_newest(&c->label);
+    return ev->same && c->settled >= 2 && newest && is_base(c, newest) &&
+           ev->set.time_s == c->base.time_s && ev->set.gain == c->base.gain;
+}
+
 static void on_arm(struct bracket *b, struct camera_state *c, const struct bracket_event *ev)
 {
     if (b->state == BRACKET_DONE || b->state == BRACKET_FAULT)
         for (int i = 0; i < b->n; i++)
             b->cameras[i].armed = false;
+    const bool kept = keeps_reference(c, ev);
     c->armed = true;
     c->base = ev->set;
     c->base_stops = rounded_stops(c, &ev->set);
     c->restarting = c->asking = c->request = false;
     c->phase = OVER;
     c->plan.n = 0;
-    c->settled = c->judged = 0;
-    label_forget(&c->label, true);
-    label_restart(&c->label, &ev->set, ev->now_ns);
+    c->judged = 0;
+    if (!kept) {
+        c->settled = 0;
+        label_forget(&c->label, true);
+        label_restart(&c->label, &ev->set, ev->now_ns);
+    }
     b->state = BRACKET_ARMED;
     b->reason = BRACKET_NONE;
     for (int i = 0; i < b->n; i++)
@@ -749,21 +761,9 @@ enum bracket_reason bracket_reason(const struct bracket *b, int *camera)
     return b->state == BRACKET_FAULT ? b->reason : BRACKET_NONE;
 }
 
-const char *bracket_sentence(enum bracket_reason r)
+bool bracket_settled(const struct bracket *b, int camera)
 {
-    static const char *const sentences[BRACKET_REASONS] = {
-        [BRACKET_NONE] = "nothing is wrong",
-        [BRACKET_DEVICE_LOST] = "the camera was unplugged",
-        [BRACKET_STALLED] = "the camera sends no frames, not even after a restart",
-        [BRACKET_INEFFECTIVE] = "the camera accepts the exposure, but its pictures do not show it",
-        [BRACKET_SCENE_CHANGED] = "the light or the scene changed twice during the bracket",
-        [BRACKET_DISAGREES] = "the camera reports an exposure that the pictures do not have",
-        [BRACKET_GAINS] = "the camera changes its digital gain or white balance by itself",
-        [BRACKET_BAD_FRAMES] = "too many frames are lost or damaged",
-        [BRACKET_REFUSED] = "the camera refuses the exposure",
-        [BRACKET_CANCELLED] = "cancelled",
-    };
-    return r >= 0 && r < BRACKET_REASONS ? sentences[r] : "unknown";
+    return b->cameras[camera].armed && b->cameras[camera].settled >= 2;
 }
 
 const struct bracket_evidence *bracket_evidence(const struct bracket *b, int camera, int index)

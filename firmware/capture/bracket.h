@@ -73,7 +73,8 @@ enum bracket_reason { // why a bracket ended in FAULT; bracket_sentence gives th
 
 enum bracket_event_kind {
     BRACKET_ARM,    // the camera streams; `set`, which it was asked for last, is its base exposure.
-                    // Needed again after DONE, FAULT and requests that the machine did not make
+                    // Needed again after DONE, FAULT and requests that the machine did not make.
+                    // same: after DONE, and nothing changed since, so the reference is kept
     BRACKET_BEGIN,  // plan
     BRACKET_ANSWER, // the device answered a request: err, set
     BRACKET_FRAME,  // frame, probe; NULL is allowed outside SHOOTING, for a frame that only counts
@@ -88,6 +89,7 @@ struct bracket_event {
     enum bracket_event_kind kind;
     int64_t now_ns; // CLOCK_MONOTONIC
     int camera;
+    bool same;
     const struct bracket_plan *plan; // [cameras], for BEGIN
     const struct frame *frame;       // its pixels are not read
     const struct exposure_probe *probe;
@@ -127,6 +129,9 @@ void bracket_light(struct bracket *b, int camera, const struct flicker_light *li
 enum bracket_state bracket_state(const struct bracket *b);
 enum bracket_reason bracket_reason(const struct bracket *b, int *camera);
 const char *bracket_sentence(enum bracket_reason r);
+
+/* Whether the camera has its reference, so that a plan can begin at once. */
+bool bracket_settled(const struct bracket *b, int camera);
 
 /* Evidence of a kept frame; NULL if it is not kept. */
 const struct bracket_evidence *bracket_evidence(const struct bracket *b, int camera, int index);

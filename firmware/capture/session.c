@@ -78,7 +78,7 @@ err_t session_open(const struct session_config *cfg, struct session **out)
     if (!e)
         e = make_machine(s);
     if (!e)
-        e = session_machine_arm_all(s);
+        e = session_machine_arm_all(s, false);
     if (e) {
         session_close(s);
         return e;
@@ -220,7 +220,7 @@ static err_t find_lost(struct session *s)
     }
     bool found = s->lost && !lost;
     s->lost = lost;
-    err_t e = found ? session_machine_arm_all(s) : OK;
+    err_t e = found ? session_machine_arm_all(s, false) : OK;
     return e == ERR_NOMEM ? e : OK;
 }
 
@@ -563,7 +563,8 @@ err_t session_collect(struct session *s, struct take **out)
     describe_take(s, t);
     s->ready = false;
     *out = t;
-    err_t e = session_machine_arm_all(s);
+    err_t e = session_machine_arm_all(s, t->status == TAKE_COMPLETE &&
+                                             bracket_state(s->machine) == BRACKET_DONE);
     return e == ERR_NOMEM ? e : OK; // a camera that does not follow is looked for again
 }
 

@@ -24,7 +24,10 @@ enum { SESSION_STARTS = 64 };
 
 /* When the last frames of a camera that waits began, by its clock. */
 struct frame_starts {
-    int skip; // frames to pass over first
+    int skip;     // frames to pass over first
+    bool gap;     // some were not seen: the next one shows whether they went on as before
+    bool longer;  // an exposure that changes their length was asked for
+    bool crowded; // the last order left no time to change the exposure of waiting
     int n;
     int64_t ns[SESSION_STARTS]; // oldest first; of frames, not of exposures
     double len;                 // of a frame, ns, as before a shift by `len_n` frames
@@ -103,9 +106,9 @@ MUST_USE err_t session_machine_event(struct session *s, const struct bracket_eve
  * err:  as camera_ops.request; the camera is lost then. */
 MUST_USE err_t session_machine_arm(struct session *s, int camera, double base_s);
 
-/* Arm all open cameras, also after an error.
+/* Arm all open cameras, also after an error. same: they wait as they did before a complete take.
  * err:  the first of session_machine_arm */
-MUST_USE err_t session_machine_arm_all(struct session *s);
+MUST_USE err_t session_machine_arm_all(struct session *s, bool same);
 
 /* ---- session_focus.c ---- */
 
@@ -115,7 +118,13 @@ MUST_USE err_t session_focus(struct session *s, bool again);
 
 /* ---- session_start.c ---- */
 
-/* Note a frame of a camera that waits. session_machine_arm forgets them: exposures may change. */
+/* An exposure was asked for; the camera waits again, surely at its exposure if `settled`: what is
+ * known of its frames is kept if none of the exposures meanwhile changed their length. */
+void session_start_asked(struct cam *c);
+void session_start_rest(struct cam *c, bool settled);
+void session_start_forget(struct cam *c);
+
+/* Note a frame of a camera that waits. */
 void session_start_see(struct session *s, int camera, const struct frame *f, int64_t now);
 
 /* session_lead_s */

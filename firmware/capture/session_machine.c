@@ -38,6 +38,8 @@ err_t session_machine_open(struct session *s, int i)
         return session_machine_name(c, e);
     c->ops->info(c->st, &info);
     c->open = true;
+    c->starts.fixed = false;
+    session_start_forget(c);
     c->view = (struct session_view){.present = true};
     c->about.info = info;
     return OK;
@@ -87,8 +89,10 @@ static err_t request_exposure(struct session *s, const struct bracket_action *a,
         .kind = BRACKET_ANSWER, .now_ns = now, .camera = a->camera, .err = ERR_LOST};
     if (c->open)
         answer.err = c->ops->request(c->st, &a->exposure, &answer.set);
-    if (!answer.err)
+    if (!answer.err) {
         c->set = answer.set;
+        session_start_asked(c);
+    }
     return bracket_event(s->machine, &answer);
 }
 
@@ -134,19 +138,12 @@ err_t session_machine_event(struct session *s, const struct bracket_event *ev,
 
 /* ---- waiting ---- */
 
-/* Its frames have another length from now on, or soon. */
-static void forget_starts(struct cam *c)
-{
-    c->starts.skip = SESSION_SETTLE;
-    c->starts.n = c->starts.len_n = 0;
-}
-
 /* A camera that refuses the request is treated as lost. */
-err_t session_machine_arm(struct session *s, int i, double base_s)
+static err_t arm(struct session *s, int i, double base_s, bool same)
 {
     struct cam *c = &s->cam[i];
     const struct camera_info *info = &c->about.info;
-    struct bracket_event ev = {.kind = BRACKET_ARM, .camera = i};
+    struct bracket_event ev = {.kind = BRACKET_ARM, .camera = i, .same = same};
     struct exposure requested = {fmin(fmax(base_s, info->time_min_s), info->time_max_s), 1};
     if (base_s > 0) {
         err_t e = c->ops->request(c->st, &requested, &c->set);
@@ -161,19 +158,25 @@ err_t session_machine_arm(struct session *s, int i, double base_s)
     ev.now_ns = backends_now(c->ops, c->st);
     ev.set = c->set;
     c->looked = false;
-    forget_starts(c);
     c->look_ns = ev.now_ns + (int64_t)(SESSION_SETTLE * fmax(info->period_s, c->set.time_s) * 1e9);
-    return session_machine_event(s, &ev, NULL);
+    err_t e = session_machine_event(s, &ev, NULL);
+    session_start_rest(c, bracket_settled(s->machine, i));
+    return e;
+}
+
+err_t session_machine_arm(struct session *s, int i, double base_s)
+{
+    return arm(s, i, base_s, false);
 }
 
 /* Arms all open cameras, also after an error. Returns the first error. */
-err_t session_machine_arm_all(struct session *s)
+err_t session_machine_arm_all(struct session *s, bool same)
 {
     err_t first = OK;
     for (int i = 0; i < s->n; i++) {
         if (!s->cam[i].open)
             continue;
-        err_t e = session_machine_arm(s, i, s->cam[i].set.time_s > 0 ? 0 : BASE_S);
+        err_t e = arm(s, i, s->cam[i].set.time_s > 0 ? 0 : BASE_S, same);
         first = first ? first : e;
     }
     return first;

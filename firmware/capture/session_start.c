@@ -22,6 +22,8 @@ enum {
 };
 #define SLACK_NS 50e3      // error that is not worth another shift
 #define LATE_NS 1000000000 // stamps older than this come from another clock
+#define FITS 0.95          // of a period: sensors lengthen frames for exposures a little below it
+#define AGREES 0.125       // of a frame: where one that is expected begins
 #define NEAR 0.75          // stops that pixels may not tell apart
 #define WIDTH 0.01         // error for which moments that are wider by 1 are taken
 
@@ -39,6 +41,58 @@ struct frame_line {
 static double lateness(const struct camera_info *info, double time_s)
 {
     return info->ends_on_grid ? fmax(info->period_s - time_s, 0.0) * 1e9 : 0.0;
+}
+
+void session_start_forget(struct cam *c)
+{
+    c->starts.skip = SESSION_SETTLE;
+    c->starts.n = c->starts.len_n = 0;
+}
+
+void session_start_asked(struct cam *c)
+{
+    c->starts.longer = c->starts.longer || c->set.time_s > FITS * c->about.info.period_s;
+}
+
+void session_start_rest(struct cam *c, bool settled)
+{
+    struct frame_starts *w = &c->starts;
+    const bool longer = w->longer;
+    w->longer = false;
+    session_start_asked(c);
+    if (longer)
+        session_start_forget(c);
+    w->skip = settled && !longer ? 0 : SESSION_SETTLE;
+    w->gap = true;
+}
+
+static int by_length(const void *a, const void *b)
+{
+    double x = *(const double *)a, y = *(const double *)b;
+    return (x > y) - (x < y);
+}
+
+/* The usual time from frame to frame, ns. */
+static double median_length(const struct frame_starts *w)
+{
+    double length[SESSION_STARTS];
+    int n = w->n - 1;
+    for (int k = 0; k < n; k++)
+        length[k] = (double)(w->ns[k + 1] - w->ns[k]);
+    qsort(length, (size_t)n, sizeof length[0], by_length);
+    return length[n / 2];
+}
+
+/* A frame after a gap: it begins whole frames after those before, or these tell nothing. */
+static void close_gap(struct frame_starts *w, int64_t at)
+{
+    if (w->gap && w->n >= LEAST) {
+        const double frames = (double)(at - w->ns[w->n - 1]) / median_length(w);
+        if (fabs(frames - floor(frames + 0.5)) > AGREES || frames > SESSION_STARTS)
+            w->n = w->len_n = 0;
+    } else if (w->gap)
+        w->n = w->len_n = 0;
+    w->gap = false;
 }
 
 void session_start_see(struct session *s, int i, const struct frame *f, int64_t now)
@@ -59,26 +113,10 @@ void session_start_see(struct session *s, int i, const struct frame *f, int64_t 
         at -= (int64_t)(end + lateness(info, time_s));
     if (w->n > 0 && at <= w->ns[w->n - 1])
         w->n = 0; // the clock was set
+    close_gap(w, at);
     if (w->n == SESSION_STARTS)
         memmove(w->ns, w->ns + 1, sizeof w->ns[0] * (size_t)--w->n);
     w->ns[w->n++] = at;
-}
-
-static int by_length(const void *a, const void *b)
-{
-    double x = *(const double *)a, y = *(const double *)b;
-    return (x > y) - (x < y);
-}
-
-/* The usual time from frame to frame, ns. */
-static double median_length(const struct frame_starts *w)
-{
-    double length[SESSION_STARTS];
-    int n = w->n - 1;
-    for (int k = 0; k < n; k++)
-        length[k] = (double)(w->ns[k + 1] - w->ns[k]);
-    qsort(length, (size_t)n, sizeof length[0], by_length);
-    return length[n / 2];
 }
 
 /* The line of least squares through the starts; frames may be missing. */
@@ -151,6 +189,11 @@ static double best_moment(const struct frame_line *l, int n)
     return best;
 }
 
+static bool can_shift(const struct cam *c)
+{
+    return c->ops->shift && !c->starts.fixed;
+}
+
 double session_start_lead_s(const struct session *s)
 {
     double most = 0.0;
@@ -158,8 +201,9 @@ double session_start_lead_s(const struct session *s)
         const struct cam *c = &s->cam[i];
         struct bracket_camera about;
         calib_camera(&c->about.info, c->calibrated ? &c->calib : NULL, &about);
-        int frames = about.delay_hi + 2 + (c->ops->shift && !c->starts.fixed ? ROUND : 0);
+        int frames = about.delay_hi + 2 + (can_shift(c) ? ROUND : 0);
         frames += c->starts.skip + (c->starts.n < LEAST ? LEAST - c->starts.n : 0);
+        frames += c->starts.crowded ? SESSION_SETTLE + SPARE : 0;
         most = fmax(most, frames * fmax(about.period_s, c->set.time_s));
     }
     return most;
@@ -176,8 +220,7 @@ static err_t align_camera(struct session *s, int i, const struct frame_line *l)
     double rest = fmod(fmod(-l->at - l->late, l->len) + l->len, l->len), set_s = 0.0;
     double left = (double)(s->until_ns - backends_now(c->ops, c->st)) / l->len;
     bool ready = w->n == SESSION_STARTS || (l->known && left < 2 * ROUND);
-    if (!c->ops->shift || w->fixed || !ready || left < ROUND || rest < SLACK_NS ||
-        rest > l->len - SLACK_NS)
+    if (!can_shift(c) || !ready || left < ROUND || rest < SLACK_NS || rest > l->len - SLACK_NS)
         return OK;
     err_t e = c->ops->shift(c->st, rest * 1e-9, &set_s);
     if (e == ERR_LOST)
@@ -206,7 +249,10 @@ static err_t leave_exposure(struct session *s, int i)
     if (base < info->time_min_s || c->about.light.hz > 0.0) // whole periods of it
         base = fmin(flicker_steady_s(&c->about.light, 2.0 * first), info->time_max_s);
     bool near = fabs(log2(c->set.time_s / first)) < NEAR;
-    bool time = left > (ROUND + l.delay) * l.len;
+    bool kept = base <= FITS * info->period_s && !c->starts.longer && c->starts.n >= LEAST;
+    int need = kept && !can_shift(c) ? SESSION_SETTLE + SPARE : ROUND;
+    bool time = left > (need + l.delay) * l.len;
+    c->starts.crowded = near && !time;
     return near && time ? session_machine_arm(s, i, base) : OK;
 }
 
@@ -216,7 +262,6 @@ err_t session_start_begin(struct session *s)
     s->phase = PHASE_WAIT;
     s->until_ns = session_machine_now(s); // to be found by session_start_wait
     for (int i = 0; i < s->n && !e; i++) {
-        s->cam[i].starts.fixed = false;
         schedule_steady(&s->order, &s->cam[i].about, &s->plan[i]);
         e = leave_exposure(s, i);
     }

@@ -88,6 +88,13 @@ sizes() { # board: memory and descriptors
         "$(ls "/proc/${pid[$1]}/fd" | wc -l) descriptors"
 }
 
+used() { # boards...: processor time so far, s
+    local name
+    for name in "$@"; do
+        awk '{ sub(/.*\) /, ""); print ($12 + $13) / 100 }' "/proc/${pid[$name]}/stat"
+    done | awk '{ t += $1 } END { printf "%.2f", t }'
+}
+
 # ---- a rig at rest ----
 
 : >"$LOG"
@@ -99,6 +106,7 @@ for i in $(seq 0 $((MEMBERS - 1))); do make_space b$i $((i + 1)) || fail "no nam
 start_rig "bracket.mode = list" "bracket.ev = -2 0 2" "bracket.middle_us = 2000" \
     "bracket.skew_ms = $SKEW"
 printf '%-44s %8s %8s %8s\n' "$MEMBERS boards" least median most
+begin=$EPOCHREALTIME of_hub=$(used hub) of_broker=$(used broker) of_boards=$(used $boards)
 for take in $(seq "$TAKES"); do
     press
     wait_ready 20 || fail "not ready again: $(sentence)"
@@ -121,6 +129,12 @@ grep 'MB from' "$OUT/hub/log.txt" | awk '{ print $(NF - 1) }' | spread "seconds 
 grep 'MB from' "$OUT/hub/log.txt" | awk '{ print 8 * $(NF - 6) / $(NF - 1) }' |
     spread "Mbit/s of a fetch, with its proof"
 grep -h ': joined in' "$OUT/hub/log.txt" | awk '{ print $(NF - 1) }' | spread "seconds to join"
+awk -v t="$EPOCHREALTIME $begin" -v h="$(used hub) $of_hub" -v b="$(used broker) $of_broker" \
+    -v m="$(used $boards) $of_boards" -v cores="$(nproc)" -v n="$MEMBERS" '
+    function since(s, v) { split(s, v, " "); return v[1] - v[2] }
+    BEGIN { printf "of %d cores, %.1f s: conductor %.1f %%, broker %.1f %%, each member %.2f %%\n",
+        cores, since(t), 100 * since(h) / since(t) / cores, 100 * since(b) / since(t) / cores,
+        100 * since(m) / since(t) / cores / n }'
 early=${early:-$(sizes hub)/$(sizes b0)}
 echo "conductor after 5 takes: ${early%/*}; after $TAKES: $(sizes hub)"
 echo "a member after 5 takes: ${early#*/}; after $TAKES: $(sizes b0)"

@@ -110,6 +110,38 @@ static void test_states(void **state)
     rig_close();
 }
 
+/* A complete set leaves its reference for the next one, if the camera waits as before; any other
+ * exposure, a fault and a camera that was lost do not. */
+static void test_reference_is_kept(void **state)
+{
+    (void)state;
+    rig_open(1, 2, 3, 2.0);
+    rig_ready();
+    struct bracket_event arm = {.kind = BRACKET_ARM, .set = {rig.base_s, 1.0}, .same = true};
+    assert_true(bracket_settled(rig.sim.b, 0));
+    assert_int_equal(rig_shoot(), BRACKET_NONE);
+    sim_tell(&rig.sim, &arm);
+    assert_true(bracket_settled(rig.sim.b, 0));
+    assert_int_equal(rig_shoot(), BRACKET_NONE);
+    assert_complete(BRACKET_REPORTED);
+    assert_int_equal(rig.sim.frames, rig.plan[0].n + 2 + 1); // at once
+    arm.same = false;
+    sim_tell(&rig.sim, &arm);
+    assert_false(bracket_settled(rig.sim.b, 0));
+    assert_int_equal(rig_shoot(), BRACKET_NONE);
+    arm.same = true;
+    arm.set.time_s *= 0.9;
+    sim_tell(&rig.sim, &arm);
+    assert_false(bracket_settled(rig.sim.b, 0));
+    arm.set.time_s = rig.base_s;
+    sim_tell(&rig.sim, &arm);
+    assert_int_equal(rig_shoot(), BRACKET_NONE);
+    tell(BRACKET_LOST, 0);
+    sim_tell(&rig.sim, &arm);
+    assert_false(bracket_settled(rig.sim.b, 0));
+    rig_close();
+}
+
 /* Cancelled after any number of frames, the camera goes back to base. */
 static void test_cancel(void **state)
 {
@@ -462,6 +494,7 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_frames_used),
         cmocka_unit_test(test_states),
+        cmocka_unit_test(test_reference_is_kept),
         cmocka_unit_test(test_cancel),
         cmocka_unit_test(test_bad_arguments),
         cmocka_unit_test(test_reasons),

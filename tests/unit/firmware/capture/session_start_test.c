@@ -138,6 +138,59 @@ static void within_half_a_frame(void **state)
     assert_true(worst_of(36, 4, 40, "shift=no") <= 0.5 * PERIOD_NS * 1.0002);
 }
 
+/* One take after the other, as soon as the cameras promise: after exposures that fit into a frame
+ * they need not look at new frames first. */
+static void follows_at_once(void **state)
+{
+    double worst = 0, lead = 0;
+    (void)state;
+    for (int k = 0; k < 36; k++) {
+        char text[256];
+        snprintf(text, sizeof text, "shift=no,delay=%d,stamp=%s,grid=%s,metadata=%s", k % 3 + 1,
+                 k % 2 ? "end" : "start", k / 2 % 2 ? "end" : "start",
+                 k % 5 == 4 ? "absent" : "correct");
+        open_rig(k / 6 % 3 + 1, text);
+        for (int i = 0; i < 6; i++) {
+            struct session_order o = {
+                .mode = SESSION_LIST, .n = 3, .ev = {-2, 0, 2}, .middle_s = 0.002};
+            double lead_s = i ? session_lead_s(s) : 60 * PERIOD_NS * 1e-9;
+            o.start_ns = session_machine_now(s) + (int64_t)((lead_s + rolled(0.1, 0.2)) * 1e9);
+            struct take *t = run_take(&o);
+            worst = fmax(worst, start_error(t, &o));
+            lead = i > 1 ? fmax(lead, lead_s) : lead;
+            take_free(t);
+        }
+    }
+    print_message("%.1f us at most, %.1f frames ahead\n", worst * 1e-3, lead * 30);
+    assert_true(worst <= 0.5 * PERIOD_NS * 1.002);
+    assert_true(lead < 12 / 30.0);
+}
+
+/* After an exposure that makes frames longer, and where the first exposure is that of waiting. */
+static void asks_for_time(void **state)
+{
+    struct session_order o = {.mode = SESSION_LIST, .n = 2, .ev = {0, 5}, .middle_s = 0.004};
+    (void)state;
+    open_rig(1, "shift=no,delay=2");
+    o.start_ns = session_machine_now(s) + (int64_t)(100 * PERIOD_NS);
+    take_free(run_take(&o)); // 128 ms
+    assert_true(session_lead_s(s) > 28 / 30.0);
+    o.start_ns = session_machine_now(s) + (int64_t)(100 * PERIOD_NS);
+    o.ev[1] = 2;
+    take_free(run_take(&o));
+    assert_true(session_lead_s(s) < 12 / 30.0);
+    o.middle_s = s->cam[0].set.time_s; // as it waits now
+    o.ev[1] = 1;
+    o.start_ns = session_machine_now(s) + (int64_t)((session_lead_s(s) + 0.1) * 1e9);
+    take_free(run_take(&o));
+    assert_true(session_lead_s(s) > 16 / 30.0 && session_lead_s(s) < 28 / 30.0);
+    o.start_ns = session_machine_now(s) + (int64_t)((session_lead_s(s) + 0.1) * 1e9);
+    struct take *t = run_take(&o);
+    assert_true(start_error(t, &o) <= 0.5 * PERIOD_NS * 1.002);
+    take_free(t);
+    assert_true(session_lead_s(s) < 12 / 30.0);
+}
+
 static void aligned(void **state)
 {
     (void)state;
@@ -235,6 +288,8 @@ static void meters_and_takes_turns(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
+        cmocka_unit_test_setup_teardown(follows_at_once, set_up, tear_down),
+        cmocka_unit_test_setup_teardown(asks_for_time, set_up, tear_down),
         cmocka_unit_test_setup_teardown(within_half_a_frame, set_up, tear_down),
         cmocka_unit_test_setup_teardown(aligned, set_up, tear_down),
         cmocka_unit_test_setup_teardown(aligned_with_wobble, set_up, tear_down),
