@@ -21,13 +21,14 @@ struct state {
 
 struct options {
     char camera[URI_TEXT], module[URI_TEXT], focus[URI_TEXT];
-    int stamp;
+    int stamp, sync;
 };
 
 #define AT(field) offsetof(struct options, field)
 static const struct uri_key keys[] = {
     {"stamp", AT(stamp), URI_WORD, 0, 0, "start|end"},
     {"focus", AT(focus), URI_STRING, 0, 0, NULL},
+    {"sync", AT(sync), URI_WORD, 0, 0, "off|server|client|wired"},
     {"module", AT(module), URI_STRING, 0, 0, NULL},
 };
 
@@ -89,7 +90,8 @@ static err_t lib_open(void *st, const struct camera_cfg *cfg)
         e = load_module(&o, &s->shim);
     if (e)
         return e;
-    struct libcamera_shim_cfg how = {o.camera, *cfg, (enum camera_stamp)o.stamp, focus};
+    struct libcamera_shim_cfg how = {o.camera, *cfg, (enum camera_stamp)o.stamp, focus,
+                                     (enum libcamera_sync)o.sync};
     return pass_error(s, s->shim->open(&how, &s->camera));
 }
 

@@ -25,6 +25,7 @@ enum { EVENTS_MAX = 16, NAME_MAX_BYTES = 64 };
 struct options {
     char subdev[URI_TEXT], lens[URI_TEXT], focus[URI_TEXT];
     double longest_ms;
+    int sync;
 };
 
 #define AT(field) offsetof(struct options, field)
@@ -32,6 +33,7 @@ static const struct uri_key keys[] = {
     {"subdev", AT(subdev), URI_STRING, 0, 0, NULL},
     {"longest_ms", AT(longest_ms), URI_REAL, 0.1, 60000, NULL},
     {"focus", AT(focus), URI_STRING, 0, 0, NULL},
+    {"sync", AT(sync), URI_WORD, 0, 0, "off|wired"},
     {"lens", AT(lens), URI_STRING, 0, 0, NULL},
 };
 
@@ -326,6 +328,8 @@ static err_t v4l2_shift(void *st, double seconds, double *shift)
     struct state *s = st;
     if (s->queue.lost)
         return err_fail(ERR_LOST, "%s: lost; open it again", s->video.path);
+    if (s->opt.sync)
+        return err_fail(ERR_UNSUPPORTED, "%s: its frames are locked to a line", s->video.path);
     err_t e = v4l2_shutter_shift(&s->shutter, seconds, shift);
     if (e == ERR_LOST)
         s->queue.lost = true;

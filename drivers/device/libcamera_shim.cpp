@@ -12,6 +12,7 @@
  * for that.
  * Compiles with 0.0.3 to 0.7.2. */
 #include "drivers/device/libcamera_shim.h"
+#include "drivers/device/libcamera_sync.hpp"
 
 #include "drivers/device/libcamera_controls.hpp"
 #include "drivers/device/libcamera_errors.hpp"
@@ -144,6 +145,7 @@ struct libcamera_shim_camera {
     std::vector<mapping> maps; // by cookie
     camera_info info{};
     class lens lens;
+    frame_sync sync;
     double time_us = 0.0, gain = 1.0, step_us = 1.0;
     int64_t frame_us[2] = {0, 0};  // shortest, longest
     int cancelled = 0, event = -1; // cancelled: in a row
@@ -408,6 +410,8 @@ void describe_controls(session &s)
         const double lo = number(frame->second.min(), 0.0), hi = number(frame->second.max(), 0.0);
         s.frame_us[0] = static_cast<int64_t>(std::max(lo, 1.0));
         s.frame_us[1] = std::max(static_cast<int64_t>(hi), s.frame_us[0]);
+        if (s.sync.one_length())
+            s.frame_us[1] = s.frame_us[0];
     }
     i.gain_max = gain ? std::max(number(gain->second.max(), 1.0), 1.0) : 1.0;
     if (!time)
@@ -457,6 +461,7 @@ err_t start_camera(session &s)
 {
     lc::ControlList list(s.camera->controls());
     put_controls(s, list, nullptr);
+    s.sync.put(list);
     if (s.frame_us[1] > 0) {
         const std::array<int64_t, 2> limits = {s.frame_us[0], s.frame_us[1]};
         list.set(lc::controls::FrameDurationLimits, lc::Span<const int64_t, 2>(limits));
@@ -668,6 +673,8 @@ err_t open_session(session &s, const libcamera_shim_cfg &cfg)
         e = acquire_camera(s);
     if (!e)
         e = s.lens.open(*s.camera, cfg.focus);
+    if (!e)
+        e = s.sync.open(*s.camera, cfg.sync);
     if (!e)
         e = configure_stream(s, cfg.wanted);
     if (!e)

@@ -10,15 +10,25 @@
 
 /* Program and module were built from the same structs; count up when the meaning changes. */
 #define LIBCAMERA_SHIM_STAMP                                                                       \
-    (3u << 24 | (unsigned)sizeof(struct camera_info) << 12 | (unsigned)sizeof(struct frame))
+    (4u << 24 | (unsigned)sizeof(struct camera_info) << 12 | (unsigned)sizeof(struct frame))
 
 #define LIBCAMERA_SHIM_TABLE "libcamera_shim_table" // symbol of the module
+
+/* How frames of several cameras begin together; the first three are values of SyncMode. WIRED: by a
+ * line between sensors, which their drivers know of. */
+enum libcamera_sync {
+    LIBCAMERA_SYNC_OFF,
+    LIBCAMERA_SYNC_SERVER,
+    LIBCAMERA_SYNC_CLIENT,
+    LIBCAMERA_SYNC_WIRED
+};
 
 struct libcamera_shim_cfg {
     const char *camera;       // id, or a part of one camera's id or model; "" if there is only one
     struct camera_cfg wanted; // without uri
     enum camera_stamp stamp;
     struct focus focus; // position: LensPosition, 1/m, 0: far away
+    enum libcamera_sync sync;
 };
 
 struct libcamera_shim_camera;

@@ -419,6 +419,34 @@ static void test_focus(int release)
     check_clean();
 }
 
+/* Frames that begin with those of others have one length, so exposures fit into it. */
+static void test_sync(int release)
+{
+    static const struct camera_cfg any = {0};
+    static const char *const words[] = {"off", "server", "client", "wired"};
+    struct fakecamera how = usual;
+    play(release, &how);
+    refuse(release, "imx477,sync=server", &any, ERR_UNSUPPORTED,
+           "imx477@1a has no control SyncMode");
+    refuse(release, "imx477,sync=both", &any, ERR_ARG, "sync");
+    how.syncs = true;
+    play(release, &how);
+    for (int k = 0; k < 4; k++) {
+        struct camera_info info;
+        char rest[64];
+        if (release == OLD && (k == 1 || k == 2))
+            continue;
+        snprintf(rest, sizeof rest, "imx477,sync=%s", words[k]);
+        void *st = open_camera(release, rest, CAMERA_ANY);
+        camera_libcamera.info(st, &info);
+        assert_int_equal(fake->sync, k % 3);
+        assert_int_equal(fake->frame_us[1], k ? 20000 : 1500000);
+        assert_true(fabs(info.time_max_s - (k ? 0.02 : 1.5)) < 1e-6);
+        close_camera(st);
+    }
+    check_clean();
+}
+
 /* Searches to its end; frames come meanwhile. */
 static err_t search(void *st, bool again)
 {
@@ -652,6 +680,7 @@ BOTH(test_all_held)
 BOTH(test_rig)
 BOTH(test_refusals)
 BOTH(test_focus)
+BOTH(test_sync)
 BOTH(test_focus_once)
 BOTH(test_failures)
 BOTH(test_clock)
@@ -668,6 +697,7 @@ int main(void)
         cmocka_unit_test(test_focus_both),    cmocka_unit_test(test_no_leak_both),
         cmocka_unit_test(test_startup),       cmocka_unit_test(test_silent),
         cmocka_unit_test(test_module),        cmocka_unit_test(test_focus_once_both),
+        cmocka_unit_test(test_sync_both),
     };
     return cmocka_run_group_tests(tests, find_modules, NULL);
 }

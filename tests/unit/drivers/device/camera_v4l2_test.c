@@ -215,6 +215,14 @@ static void test_shift(void **st)
     open_ok(webcam);
     refuses(camera_v4l2.shift(state, 0.005, &shift), ERR_UNSUPPORTED, "fixed");
     close_all();
+    char wired[128];
+    fake_raw(&fake);
+    snprintf(wired, sizeof wired, "%s,sync=wired", sensor);
+    open_ok(wired);
+    base = control(V4L2_CID_VBLANK);
+    refuses(camera_v4l2.shift(state, 0.005, &shift), ERR_UNSUPPORTED, "locked to a line");
+    assert_int_equal(control(V4L2_CID_VBLANK), base);
+    close_all();
 }
 
 /* When the second of two controls is refused the first comes back, and the frame's length too. */

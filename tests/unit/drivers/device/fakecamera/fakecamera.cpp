@@ -190,6 +190,8 @@ Camera::Camera(int i) : d(std::make_unique<device>())
 #if FAKE_RELEASE >= 50
         c.emplace(&controls::ExposureTimeMode, ControlInfo(int32_t{0}, int32_t{1}));
         c.emplace(&controls::AnalogueGainMode, ControlInfo(int32_t{0}, int32_t{1}));
+        if (fakecamera.syncs)
+            c.emplace(&controls::SyncMode, ControlInfo(int32_t{0}, int32_t{2}));
 #endif
     }
     if (fakecamera.lens)
@@ -451,6 +453,11 @@ int Camera::start(const ControlList *list)
         return -fakecamera.fail_start;
     fakecamera.frozen = 0;
     fakecamera.focus = -1.0;
+    fakecamera.sync = 0;
+#if FAKE_RELEASE >= 50
+    if (const auto mode = list->get(controls::SyncMode))
+        fakecamera.sync = *mode;
+#endif
     for (const auto &[id, value] : list->all())
         fakecamera.frozen += id == controls::AeEnable.id() || id == controls::AwbEnable.id() ||
                              id == controls::AfMode.id() || id == 12 || id == 13;

@@ -18,6 +18,7 @@ struct fakecamera {
     bool invalid;      // no configuration will do
     bool smaller;      // gives another size than was asked for
     bool unknown_format;
+    bool syncs;    // its frames can be made to begin with those of others, where that is known
     bool lens;     // that can be moved, up to 10 dioptres
     int search;    // frames of a search, which ends at 3.25; 0: it cannot search
     bool in_vain;  // it finds nothing
@@ -43,6 +44,7 @@ struct fakecamera {
     int64_t frame_us[2];                      // FrameDurationLimits at the start
     double focus;                             // LensPosition as last set; < 0: never
     int searches;
+    int sync; // SyncMode at the start
     unsigned frames;
 };
 

@@ -204,6 +204,7 @@ inline const Control<int32_t> AfState(16, "AfState");
 #if FAKE_RELEASE >= 50
 inline const Control<int32_t> ExposureTimeMode(12, "ExposureTimeMode");
 inline const Control<int32_t> AnalogueGainMode(13, "AnalogueGainMode");
+inline const Control<int32_t> SyncMode(20001, "SyncMode"); // of Raspberry Pi OS
 #endif
 } // namespace controls
 
