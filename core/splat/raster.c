@@ -85,6 +85,8 @@ err_t raster_init(struct raster *rs, struct arena *a, int cap, int w, int h, boo
         return e;
     e = arena_alloc(a, rs->cap_pairs * SLOT, 4, &rs->slots);
     if (!e)
+        e = arena_alloc(a, n, sizeof *rs->spans, &rs->spans);
+    if (!e)
         e = arena_alloc(a, n * SLOT, 4, &rs->sums);
     return e ? e : arena_alloc(a, (n / CHUNK + 1) * POSE_GRAD, 4, &rs->partial);
 }
@@ -126,9 +128,20 @@ struct job {
 };
 
 /* On a tile that is drawn here. */
-static bool is_drawn(const struct raster *rs, const struct splat2d *s)
+static bool is_drawn(const struct raster *rs, int i)
 {
-    return s->x1 >= s->x0 && s->ty0 < rs->row1 && s->ty1 > rs->row0;
+    const struct splat2d *s = &rs->splats[i];
+    return rs->team ? rs->spans[i].y0 < rs->row1 && rs->spans[i].y1 > rs->row0 : s->x1 >= s->x0;
+}
+
+static void span_block(struct raster *rs, int first, int n)
+{
+    for (int i = first; i < first + n; i++) {
+        const struct splat2d *s = &rs->splats[i];
+        rs->spans[i] = (struct raster_span){0, 0, 0};
+        if (s->x1 >= s->x0)
+            rs->spans[i] = (struct raster_span){s->ty0, s->ty1, (uint8_t)(s->tx1 - s->tx0)};
+    }
 }
 
 static void count_block(struct job *j, int b)
@@ -137,7 +150,7 @@ static void count_block(struct job *j, int b)
     const int first = b * SPLAT_BLOCK, end = num_min(first + SPLAT_BLOCK, j->in->g->n);
     uint32_t seen = 0;
     for (int i = first; i < end; i++)
-        seen += is_drawn(rs, &rs->splats[i]);
+        seen += is_drawn(rs, i);
     rs->block_seen[b] = seen;
 }
 
@@ -161,7 +174,9 @@ static err_t project_chunk(void *ctx, int chunk, int worker)
         int first = b * SPLAT_BLOCK, n = j->in->g->n - first;
         n = n < SPLAT_BLOCK ? n : SPLAT_BLOCK;
         j->r->k->project(j->in->g, &rs->view, first, n, rs->splats);
-        if (!rs->team)
+        if (rs->team)
+            span_block(rs, first, n);
+        else
             count_block(j, b);
     }
     return OK;
@@ -176,7 +191,7 @@ static err_t compact_chunk(void *ctx, int chunk, int worker)
     uint32_t at = rs->block_seen[chunk * CHUNK_BLOCKS];
     for (int i = first; i < end; i++) {
         const struct splat2d *s = &rs->splats[i];
-        if (!is_drawn(rs, s))
+        if (!is_drawn(rs, i))
             continue;
         memcpy(&rs->key[0][at], &s->z, 4);
         rs->order[0][at++] = (uint32_t)i;

@@ -40,6 +40,11 @@ struct raster_group {
     int x0, x1, y0, y1; // tiles, half open
 };
 
+/* Tile rows of a splat, half open, and its tiles in each; all 0: it is not seen. */
+struct raster_span {
+    uint8_t y0, y1, wide;
+};
+
 /* Workspace. Fields belong to raster.c and raster_grad.c. */
 struct raster {
     int cap, w, h, tiles_x, tiles_y;
@@ -60,13 +65,14 @@ struct raster {
     float *slots;   // (cap_pairs, SLOT); NULL without gradients
     float *sums;    // (cap, SLOT)
     float *partial; // pose gradients per chunk
-    /* Set after raster_init: the tile rows of each picture are dealt out to these ranks, whose
+    /* Set after raster_init with gradients: the tile rows of each picture are dealt out to these ranks, whose
      * scenes and cameras are the same; a rank's maps are complete in the rows of raster_rows and,
      * where the picture goes on, RASTER_HALO rows beyond. Gradients are summed over the ranks, as
      * far as they are by radiance and alpha. NULL: alone. */
     struct team *team;
-    int row0, row1;         // tile rows that are drawn
-    int band[TEAM_MAX + 1]; // first tile row of each rank
+    struct raster_span *spans; // (cap) with gradients, of a team
+    int row0, row1;            // tile rows that are drawn
+    int band[TEAM_MAX + 1];    // first tile row of each rank
 };
 
 enum { RASTER_HALO = TILE };
@@ -116,9 +122,12 @@ MUST_USE err_t raster_grad_run(const struct run *r, struct raster *rs,
 /* Choose the rows of each rank, once n splats are projected (for raster.c). */
 void raster_team_deal(struct raster *rs, int n);
 
-/* sums of the rows of this rank become those of all ranks (for raster_grad.c).
- * err: those of team_begin. */
-MUST_USE err_t raster_team_sum(const struct run *r, struct raster *rs, int n);
+/* sums of the rows of this rank become those of all ranks. done: called for chunks [first, end)
+ * of splats once theirs are complete, while others are on their way (for raster_grad.c).
+ * err: those of team_begin and of done. */
+typedef err_t raster_team_fn(void *ctx, int first, int end);
+MUST_USE err_t raster_team_sum(const struct run *r, struct raster *rs, int n, raster_team_fn *done,
+                               void *ctx);
 
 /* Fill lists of group `i` unless they are in place (for raster_grad.c). */
 MUST_USE err_t raster_load_group(const struct run *r, struct raster *rs, int i);

@@ -20,6 +20,7 @@ struct grad_job {
     struct raster_group group; // the part of a loaded one that gives gradients
     int tile;                  // its first one in the loaded group
     bool first;
+    int chunk; // the first one in the chain rule
 };
 
 static int tiles_in_group(const struct splat2d *s, const struct raster_group *g)
@@ -126,6 +127,7 @@ static err_t chain_chunk(void *ctx, int chunk, int worker)
     struct grad_job *j = ctx;
     struct raster *rs = j->rs;
     (void)worker;
+    chunk += j->chunk;
     _Alignas(64) float sums[GRAD2D * SPLAT_BLOCK], grad[G_PLANES_MAX * SPLAT_BLOCK],
         seen[SPLAT_BLOCK];
     float *pose = j->sink->pose ? rs->partial + (size_t)chunk * POSE_GRAD : NULL;
@@ -146,6 +148,13 @@ static err_t chain_chunk(void *ctx, int chunk, int worker)
         j->sink->fn(j->sink->ctx, first, count, grad, seen);
     }
     return OK;
+}
+
+static err_t chain_chunks(void *ctx, int first, int end)
+{
+    struct grad_job *j = ctx;
+    j->chunk = first;
+    return pool_for(j->r->pool, end - first, chain_chunk, j);
 }
 
 /* dL/d background = sum over pixels of T dL/d radiance. */
@@ -173,15 +182,11 @@ err_t raster_grad_run(const struct run *r, struct raster *rs, const struct raste
         if (e)
             return e;
     }
-    if (rs->team) {
-        err_t e = raster_team_sum(r, rs, in->g->n);
-        if (e)
-            return e;
-    }
     if (sink->background)
         background_grad(rs, up->radiance, sink->background);
     int chunks = (in->g->n + CHUNK - 1) / CHUNK;
-    err_t e = pool_for(r->pool, chunks, chain_chunk, &j);
+    err_t e =
+        rs->team ? raster_team_sum(r, rs, in->g->n, chain_chunks, &j) : chain_chunks(&j, 0, chunks);
     if (e || !sink->pose)
         return e;
     for (int k = 0; k < POSE_GRAD; k++) {

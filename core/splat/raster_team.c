@@ -12,14 +12,10 @@
 enum {
     CHUNK = RASTER_CHUNK,
     ROWS_MAX = (RASTER_SIDE_MAX + TILE - 1) / TILE,
+    PIECES = 8,
     TILE_COST = 128,  // splats on a tile that take as long as its pixels: loss and tone curve
     SENT = GRAD2D - 1 // the sum by depth is not sent: no loss of a team has depth
 };
-
-static bool is_visible(const struct splat2d *s)
-{
-    return s->x1 >= s->x0;
-}
 
 /* ---- bands ---- */
 
@@ -28,11 +24,9 @@ static void add_costs(const struct raster *rs, int n, uint64_t *cost)
 {
     int64_t step[ROWS_MAX + 1] = {0}, here = 0;
     for (int i = 0; i < n; i++) {
-        const struct splat2d *s = &rs->splats[i];
-        if (!is_visible(s))
-            continue;
-        step[s->ty0] += s->tx1 - s->tx0;
-        step[s->ty1] -= s->tx1 - s->tx0;
+        const struct raster_span *s = &rs->spans[i];
+        step[s->y0] += s->wide;
+        step[s->y1] -= s->wide;
     }
     cost[0] = 0;
     for (int y = 0; y < rs->tiles_y; y++) {
@@ -64,18 +58,28 @@ void raster_team_deal(struct raster *rs, int n)
 
 /* ---- gradients ---- */
 
-struct exchange {
-    struct raster *rs;
-    int n, first, end;       // splats; chunks of this piece
-    uint32_t *count;         // (chunks, ranks) splats; then those before, of this piece
-    size_t at[TEAM_MAX + 1]; // bytes
-    uint16_t *sums;          // of all ranks, one after another: (splats, SENT)
+/* Some chunks of splats. */
+struct piece {
+    int first, end;
+    size_t at[TEAM_MAX + 1]; // bytes in `sums`
 };
 
-static bool is_in_band(const struct raster *rs, const struct splat2d *s, int rank)
+struct exchange {
+    const struct run *r;
+    struct raster *rs;
+    int n, chunks;
+    uint32_t *count; // (chunks, ranks) splats; in a piece: those before
+    uint16_t *sums;  // of the pieces: of all ranks, one after another, (splats, SENT)
+    size_t room;     // bytes
+    struct piece pieces[PIECES];
+    int n_pieces;
+    const struct piece *now;
+};
+
+static bool is_in_band(const struct raster *rs, int i, int rank)
 {
     const int from = rs->band[rank], end = rs->band[rank + 1];
-    return is_visible(s) && from < end && s->ty0 < end && s->ty1 > from;
+    return from < end && rs->spans[i].y0 < end && rs->spans[i].y1 > from;
 }
 
 static int chunk_end(const struct exchange *x, int chunk)
@@ -83,16 +87,21 @@ static int chunk_end(const struct exchange *x, int chunk)
     return num_min((chunk + 1) * CHUNK, x->n);
 }
 
+static uint32_t *count_of(const struct exchange *x, int chunk, int rank)
+{
+    return x->count + (size_t)chunk * (size_t)x->rs->team->size + (size_t)rank;
+}
+
 static err_t count_chunk(void *ctx, int chunk, int worker)
 {
     struct exchange *x = ctx;
-    const int size = x->rs->team->size;
-    uint32_t *count = x->count + (size_t)chunk * (size_t)size;
     (void)worker;
-    memset(count, 0, (size_t)size * sizeof *count);
-    for (int i = chunk * CHUNK; i < chunk_end(x, chunk); i++)
-        for (int k = 0; k < size; k++)
-            count[k] += is_in_band(x->rs, &x->rs->splats[i], k);
+    for (int k = 0; k < x->rs->team->size; k++) {
+        uint32_t n = 0;
+        for (int i = chunk * CHUNK; i < chunk_end(x, chunk); i++)
+            n += is_in_band(x->rs, i, k);
+        *count_of(x, chunk, k) = n;
+    }
     return OK;
 }
 
@@ -113,34 +122,44 @@ static float sum_of(uint16_t v)
     return f;
 }
 
+/* Where the sums of a rank and chunk begin. */
+static uint16_t *sums_of(const struct exchange *x, int chunk, int rank)
+{
+    return x->sums + x->now->at[rank] / sizeof *x->sums + (size_t)*count_of(x, chunk, rank) * SENT;
+}
+
 static err_t pack_chunk(void *ctx, int k, int worker)
 {
     const struct exchange *x = ctx;
     const struct raster *rs = x->rs;
-    const int chunk = x->first + k, rank = rs->team->rank;
-    const uint32_t from = x->count[(size_t)chunk * (size_t)rs->team->size + (size_t)rank];
-    uint16_t *out = x->sums + x->at[rank] / sizeof *out + (size_t)from * SENT;
+    const int chunk = x->now->first + k, rank = rs->team->rank;
+    uint16_t *out = sums_of(x, chunk, rank);
     (void)worker;
-    for (int i = chunk * CHUNK; i < chunk_end(x, chunk); i++)
-        for (int c = 0; c < SENT && is_in_band(rs, &rs->splats[i], rank); c++)
+    for (int i = chunk * CHUNK; i < chunk_end(x, chunk); i++) {
+        if (!is_in_band(rs, i, rank))
+            continue;
+        for (int c = 0; c < SENT; c++)
             *out++ = round_sum(rs->sums[(size_t)i * SLOT + (size_t)c]);
+    }
     return OK;
 }
 
 static void add_band(const struct exchange *x, int chunk, int rank)
 {
     const struct raster *rs = x->rs;
-    const uint32_t from = x->count[(size_t)chunk * (size_t)rs->team->size + (size_t)rank];
-    const uint16_t *in = x->sums + x->at[rank] / sizeof *in + (size_t)from * SENT;
-    for (int i = chunk * CHUNK; i < chunk_end(x, chunk); i++)
-        for (int c = 0; c < SENT && is_in_band(rs, &rs->splats[i], rank); c++)
+    const uint16_t *in = sums_of(x, chunk, rank);
+    for (int i = chunk * CHUNK; i < chunk_end(x, chunk); i++) {
+        if (!is_in_band(rs, i, rank))
+            continue;
+        for (int c = 0; c < SENT; c++)
             rs->sums[(size_t)i * SLOT + (size_t)c] += sum_of(*in++);
+    }
 }
 
 static err_t unpack_chunk(void *ctx, int k, int worker)
 {
     const struct exchange *x = ctx;
-    const int chunk = x->first + k, count = chunk_end(x, chunk) - chunk * CHUNK;
+    const int chunk = x->now->first + k, count = chunk_end(x, chunk) - chunk * CHUNK;
     (void)worker;
     memset(x->rs->sums + (size_t)chunk * CHUNK * SLOT, 0, (size_t)count * SLOT * sizeof(float));
     for (int rank = 0; rank < x->rs->team->size; rank++)
@@ -148,47 +167,76 @@ static err_t unpack_chunk(void *ctx, int k, int worker)
     return OK;
 }
 
-/* As many chunks as have room; counts become numbers of splats before. A chunk always has. */
-static void cut_piece(struct exchange *x, int chunks)
+/* A piece from chunk `first` on, not longer than its part of all, as far as there is room from
+ * `used` on; counts become numbers of splats before. */
+static void cut_piece(struct exchange *x, int first, size_t used, struct piece *p)
 {
-    const int size = x->rs->team->size;
-    const size_t room = x->rs->cap_pairs * SLOT * sizeof(float) / (SENT * sizeof *x->sums);
+    const int size = x->rs->team->size, most = (x->chunks + PIECES - 1) / PIECES;
+    const size_t item = SENT * sizeof *x->sums;
     uint32_t before[TEAM_MAX] = {0};
-    size_t all = 0;
-    for (x->end = x->first; x->end < chunks; x->end++) {
-        uint32_t *count = x->count + (size_t)x->end * (size_t)size;
+    p->first = first;
+    for (p->end = first; p->end < num_min(first + most, x->chunks); p->end++) {
         size_t here = 0;
         for (int k = 0; k < size; k++)
-            here += count[k];
-        if (all + here > room)
+            here += *count_of(x, p->end, k) * item;
+        if (used + here > x->room)
             break;
-        all += here;
+        used += here;
         for (int k = 0; k < size; k++) {
-            const uint32_t n = count[k];
-            count[k] = before[k];
+            const uint32_t n = *count_of(x, p->end, k);
+            *count_of(x, p->end, k) = before[k];
             before[k] += n;
         }
     }
-    x->at[0] = 0;
     for (int k = 0; k < size; k++)
-        x->at[k + 1] = x->at[k] + before[k] * SENT * sizeof *x->sums;
+        p->at[k + 1] = p->at[k] + before[k] * item;
 }
 
-err_t raster_team_sum(const struct run *r, struct raster *rs, int n)
+/* Send pieces from chunk `first` on, until all are sent or there is no more room. */
+static err_t send_pieces(struct exchange *x, int first)
 {
-    const int chunks = (n + CHUNK - 1) / CHUNK;
-    /* keys are not needed any more, nor are slots; their memory has room: raster_init */
-    struct exchange x = {.rs = rs, .n = n, .count = rs->key[1], .sums = (uint16_t *)rs->slots};
-    err_t e = pool_for(r->pool, chunks, count_chunk, &x);
-    for (x.first = 0; x.first < chunks && !e; x.first = x.end) {
-        cut_piece(&x, chunks);
-        e = pool_for(r->pool, x.end - x.first, pack_chunk, &x);
+    size_t used = 0;
+    err_t e = OK;
+    for (x->n_pieces = 0; x->n_pieces < PIECES && first < x->chunks && !e; x->n_pieces++) {
+        struct piece *p = &x->pieces[x->n_pieces];
+        p->at[0] = used;
+        cut_piece(x, first, used, p);
+        if (p->end == first)
+            break;
+        used = p->at[x->rs->team->size];
+        first = p->end;
+        x->now = p;
+        e = pool_for(x->r->pool, p->end - p->first, pack_chunk, x);
         if (!e)
-            e = team_begin(rs->team, x.sums, x.at);
-        if (!e)
+            e = team_begin(x->rs->team, x->sums, p->at);
+    }
+    return e;
+}
+
+err_t raster_team_sum(const struct run *r, struct raster *rs, int n, raster_team_fn *done,
+                      void *ctx)
+{
+    /* keys are not needed any more, nor are slots, whose memory has room for any chunk:
+     * raster_init */
+    struct exchange x = {.r = r,
+                         .rs = rs,
+                         .n = n,
+                         .chunks = (n + CHUNK - 1) / CHUNK,
+                         .count = rs->key[1],
+                         .sums = (uint16_t *)rs->slots,
+                         .room = rs->cap_pairs * SLOT * sizeof *rs->slots};
+    err_t e = pool_for(r->pool, x.chunks, count_chunk, &x);
+    for (int first = 0; first < x.chunks && !e;) {
+        e = send_pieces(&x, first);
+        for (int i = 0; i < x.n_pieces && !e; i++) {
+            x.now = &x.pieces[i];
             e = team_wait(rs->team);
-        if (!e)
-            e = pool_for(r->pool, x.end - x.first, unpack_chunk, &x);
+            if (!e)
+                e = pool_for(r->pool, x.now->end - x.now->first, unpack_chunk, &x);
+            if (!e)
+                e = done(ctx, x.now->first, x.now->end);
+            first = x.now->end;
+        }
     }
     return e;
 }
