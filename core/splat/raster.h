@@ -65,10 +65,10 @@ struct raster {
     float *slots;   // (cap_pairs, SLOT); NULL without gradients
     float *sums;    // (cap, SLOT)
     float *partial; // pose gradients per chunk
-    /* Set after raster_init with gradients: the tile rows of each picture are dealt out to these ranks, whose
-     * scenes and cameras are the same; a rank's maps are complete in the rows of raster_rows and,
-     * where the picture goes on, RASTER_HALO rows beyond. Gradients are summed over the ranks, as
-     * far as they are by radiance and alpha. NULL: alone. */
+    /* Set after raster_init with gradients: the tile rows of each picture are dealt out to these
+     * ranks, whose scenes and cameras are the same; a rank's maps are complete in the rows of
+     * raster_rows and, where the picture goes on, RASTER_HALO rows beyond. Gradients are summed
+     * over the ranks, as far as they are by radiance and alpha. NULL: alone. */
     struct team *team;
     struct raster_span *spans; // (cap) with gradients, of a team
     int row0, row1;            // tile rows that are drawn

@@ -8,6 +8,7 @@ static const struct {
     int (*run)(int argc, char **argv);
 } commands[] = {
     {"status", "boards of the rig, and what keeps it from a capture", cmd_rig_status},
+    {"hosts", "the boards that are there, for mpirun", cmd_rig_status_hosts},
     {"capture", "one capture by all boards, and how far apart they began", cmd_rig_status_capture},
     {"accept", "joins what there is of a capture that waits for parts", cmd_rig_status_accept},
     {"forget", "gives up a capture that waits, or a board that was taken away",

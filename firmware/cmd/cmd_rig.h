@@ -7,6 +7,7 @@
 int cmd_rig_board(int argc, char **argv);
 int cmd_rig_calibrate(int argc, char **argv);
 int cmd_rig_status(int argc, char **argv);
+int cmd_rig_status_hosts(int argc, char **argv);
 int cmd_rig_status_capture(int argc, char **argv);
 int cmd_rig_status_accept(int argc, char **argv);
 int cmd_rig_status_forget(int argc, char **argv);

@@ -1,4 +1,5 @@
-/* hdrig rig status, capture, accept, forget: what the daemon knows of the rig, and does with it. */
+/* hdrig rig status, hosts, capture, accept, forget: what the daemon knows of the rig, and does with
+ * it. */
 #include "firmware/cmd/cmd_rig.h"
 #include "firmware/daemon/ctl.h"
 
@@ -138,6 +139,31 @@ int cmd_rig_status(int argc, char **argv)
     json_free(doc);
     code = cmd_finish(usage.name, e);
     return code || ready ? code : CMD_REFUSED;
+}
+
+/* ---- hosts ---- */
+
+int cmd_rig_status_hosts(int argc, char **argv)
+{
+    struct config cfg;
+    struct cJSON *doc = NULL;
+    const struct cJSON *rig;
+    int code;
+    const struct cmd_usage usage = {
+        "rig hosts", "",
+        "At the conductor: this machine and the boards that are there, one in each line, as\n"
+        "mpirun takes them with --hostfile.",
+        NULL, 0};
+    if (!cmd_parse(&usage, argc, argv, &cfg, &code))
+        return code;
+    err_t e = ask_rig(&cfg, &doc, &rig);
+    if (!e)
+        puts("localhost");
+    for (const struct cJSON *m = e ? NULL : first_of(rig, "members"); m; m = json_next(m))
+        if (truth_of(m, "online") && *text_of(m, "address"))
+            puts(text_of(m, "address"));
+    json_free(doc);
+    return cmd_finish(usage.name, e);
 }
 
 /* ---- capture ---- */

@@ -31,7 +31,9 @@ static void put_members(const struct conductor *c, FILE *f)
         put_truth(f, "listed", m->listed);
         put_truth(f, "online", m->said.online);
         put_truth(f, "ready", m->said.online && m->said.ready);
-        fputs("\"sentence\": ", f);
+        fputs("\"address\": ", f);
+        json_put_string(f, m->said.host);
+        fputs(", \"sentence\": ", f);
         json_put_string(f, m->said.online ? m->said.sentence : "is not there");
         fprintf(f,
                 ", \"version\": \"%s\", \"cameras\": %d, \"free_mb\": %.0f, \"clock\": \"%s\", "

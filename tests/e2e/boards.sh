@@ -37,6 +37,8 @@ for i in 0 1 2; do
     board b$i
 done
 wait_ready 30 || fail "the rig is not ready: $(sentence)"
+[ "$(ask hub rig hosts | sort | uniq -c | awk '{ print $1, $2 }' | tr '\n' ' ')" = \
+    "3 127.0.0.1 1 localhost " ] || fail "hosts for mpirun: $(ask hub rig hosts)"
 
 # a press, and one at a member
 press 0 "^$OUT/hub/store/[0-9a-f]{8}-[0-9]{6}$"
