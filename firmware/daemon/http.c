@@ -19,6 +19,7 @@
 #include <unistd.h>
 
 enum { TIMEOUT_S = 15, BODY_MAX = 512, NAME_MAX_BYTES = 128, DEPTH = 4 };
+#define TURN_NS INT64_C(10000000) // of each turn of the loop, at most
 
 /* The files of the page, in the binary, each with its size. */
 EMBED_FILE(http_page_html, "firmware/web/page.html");
@@ -542,8 +543,21 @@ struct pollfd http_poll(const struct http *h, int64_t now, int64_t *deadline_ns)
     return (struct pollfd){.fd = h->fd, .events = POLLIN};
 }
 
+/* Whether the library has work that need not wait for anybody. */
+static bool is_ready(const struct http *h)
+{
+    MHD_UNSIGNED_LONG_LONG ms;
+    struct pollfd p = {.fd = h->fd, .events = POLLIN};
+    return (MHD_get_timeout(h->mhd, &ms) == MHD_YES && ms == 0) || poll(&p, 1, 0) > 0;
+}
+
+/* The library moves each connection by one step at a time, and cameras may need a whole turn of the
+ * loop for each. */
 void http_step(struct http *h)
 {
-    MHD_run(h->mhd);
+    const int64_t until = clocks_now() + TURN_NS;
+    do
+        MHD_run(h->mhd);
+    while (is_ready(h) && clocks_now() < until);
     h->expire_ns = connections_expire(&h->connections, clocks_now());
 }
