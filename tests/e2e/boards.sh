@@ -69,7 +69,8 @@ sleep 0.35
 kill -KILL "${pid[b1]}"
 board b1
 wait $asking
-grep -Eq 'b1: (was started again|did not take|the order came)|b1 is not' "$OUT/killed.txt" ||
+why='b1: (was started again|did not take|the order came)|b1 is not|skew_ms'
+grep -Eq "$why" "$OUT/killed.txt" ||
     grep -q "$OUT/hub/store" "$OUT/killed.txt" || fail "a kill says $(cat "$OUT/killed.txt")"
 wait_ready 20 || fail "the rig is not ready after a kill: $(sentence)"
 for id in $(grep -o 'rig forget [0-9a-f-]*' "$OUT/killed.txt" | cut -d' ' -f3); do
@@ -97,7 +98,7 @@ for _ in $(seq 300); do
     [ -z "$choice" ] || break
     sleep 0.1
 done
-[ -n "$choice" ] || fail "nobody tells of a lost part: $(ask hub rig status)"
+[ -n "$choice" ] || { fail "nobody tells of a lost part: $(ask hub rig status)"; finish; }
 id=$(sed 's/.*accept \([0-9a-f-]*\).*/\1/' <<<"$choice")
 [ "$(held)" = 2 ] || fail "$(held) parts are held, not 2"
 says_of() { # regex command...

@@ -212,7 +212,7 @@ for name in lead m1 m2; do
         [ $(($(stat -c '0%a' "$OUT/$name/$file") & 7)) = 0 ] || fail "all can read $name/$file"
     done
 done
-grep -qF -e "$(cat "$OUT/m2/http-token")" "$OUT/m2/told" || fail "nobody tells the page's password"
+grep -qF -f "$OUT/m2/http-token" "$OUT/m2/told" || fail "nobody tells the page's password"
 
 # status and captures
 says 1 'no daemon answers' lead status
