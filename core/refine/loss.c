@@ -19,6 +19,9 @@ enum {
     SEGMENTS = TONE_HIDDEN + 1
 };
 
+_Static_assert((int)ROWS == (int)TILE && (int)EDGE <= (int)RASTER_HALO,
+               "a rank's rows begin with a chunk, and its picture reaches as far as its windows");
+
 enum { // partial sums of one chunk
     P_L1,
     P_SSIM,
@@ -96,7 +99,7 @@ struct job {
     int first, end; // rows that are compared here
 };
 
-struct span {
+struct span { // half open
     int row0, row1;
 };
 

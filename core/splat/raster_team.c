@@ -12,7 +12,8 @@
 enum {
     CHUNK = RASTER_CHUNK,
     ROWS_MAX = (RASTER_SIDE_MAX + TILE - 1) / TILE,
-    PIECES = 8,
+    HALO = RASTER_HALO / TILE,
+    PIECES = 8,       // that travel one after another
     TILE_COST = 128,  // splats on a tile that take as long as its pixels: loss and tone curve
     SENT = GRAD2D - 1 // the sum by depth is not sent: no loss of a team has depth
 };
@@ -52,8 +53,8 @@ void raster_team_deal(struct raster *rs, int n)
     }
     rs->band[t->size] = rs->tiles_y;
     const int from = rs->band[t->rank], end = rs->band[t->rank + 1];
-    rs->row0 = from < end ? num_max(from - 1, 0) : 0;
-    rs->row1 = from < end ? num_min(end + 1, rs->tiles_y) : 0;
+    rs->row0 = from < end ? num_max(from - HALO, 0) : 0;
+    rs->row1 = from < end ? num_min(end + HALO, rs->tiles_y) : 0;
 }
 
 /* ---- gradients ---- */
