@@ -13,10 +13,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum {
-    INPUTS_MAX = (SAMPLE_VIEWS + 1) / 2,
-    BOARD_SIDE = BOARD_STRIDE * BOARD_PITCH_CELLS + BOARD_GAP_CELLS
-};
+enum { INPUTS_MAX = 32, BOARD_SIDE = BOARD_STRIDE * BOARD_PITCH_CELLS + BOARD_GAP_CELLS };
 
 struct request {
     const char *out, *views, *kind, *spread, *orbit, *fov, *exposures, *curve, *samples;
@@ -27,7 +24,7 @@ struct request {
     const char *lens[CMD_TEXTS_MAX];
     struct optics optics[CMD_TEXTS_MAX]; // of `lens`, or of the rig
     struct camera rig[INPUTS_MAX];
-    bool noise_free, free_hand, depth;
+    bool noise_free, free_hand, walk, depth;
     struct outdir_rules rules;
     struct config cfg;
 };
@@ -190,7 +187,7 @@ static err_t read_scene(struct request *rq, struct dataset_request *a)
 {
     double spread = 0.3, orbit = 0, fov = 60;
     int views = 9, samples = 6;
-    err_t e = read_whole("--views", rq->views, 2, INPUTS_MAX, &views);
+    err_t e = read_whole("--views", rq->views, 2, rq->walk ? SAMPLE_VIEWS : INPUTS_MAX, &views);
     if (!e)
         e = read_number("--spread", rq->spread, 0, 1, &spread);
     if (!e)
@@ -201,13 +198,14 @@ static err_t read_scene(struct request *rq, struct dataset_request *a)
         e = read_whole("--samples", rq->samples, 1, 8, &samples);
     a->sample = (struct sample_scene){.seed = (uint64_t)rq->cfg.seed,
                                       .kind = WORLD_ANY,
-                                      .n_views = 2 * views - 1,
+                                      .n_views = rq->walk ? views : 2 * views - 1,
                                       .size = rq->cfg.size > 0 ? rq->cfg.size : 448,
                                       .spread = (float)spread,
                                       .fov_deg = (float)fov,
                                       .jitter = rq->free_hand,
                                       .orbit_deg =
                                           (float)orbit / 2, // a view is held out between two inputs
+                                      .walk = rq->walk,
                                       .quality = {.samples = samples}};
     /* with more rays per pixel, each needs fewer for its shadows */
     a->sample.quality.shadow = samples < 4 ? 4 / samples : 1;
@@ -219,6 +217,9 @@ static err_t read_scene(struct request *rq, struct dataset_request *a)
         e = read_board(rq, &a->sample);
     if (!e && orbit > 0 && a->sample.kind != WORLD_PARK)
         e = err_fail(ERR_ARG, "--orbit: only --kind park has room all around");
+    if (!e && rq->walk && (a->sample.kind != WORLD_PARK || rq->rig_path || rq->board || rq->orbit))
+        e = err_fail(ERR_ARG,
+                     "--walk: only in --kind park, and not with --rig, --board or --orbit");
     return e;
 }
 
@@ -275,6 +276,7 @@ static err_t write_report(const struct request *rq, const struct dataset_request
     report_number(&rep, "spread", (double)a->sample.spread);
     if (rq->orbit)
         report_number(&rep, "orbit_deg", 2 * (double)a->sample.orbit_deg);
+    report_bool(&rep, "walk", a->sample.walk != 0);
     report_number(&rep, "fov_deg", (double)a->sample.fov_deg);
     report_optics(rq, &rep);
     if (rq->board) {
@@ -291,6 +293,7 @@ static err_t write_report(const struct request *rq, const struct dataset_request
 static err_t write_dataset(const struct request *rq, const struct dataset_request *a,
                            struct state *st)
 {
+    const int held_out = a->sample.walk ? 0 : a->sample.n_views / 2;
     err_t e = engine_open(&st->engine, rq->cfg.threads);
     struct plan p = plan_begin(pool_size(st->engine.pool));
     dataset_plan(&p, a);
@@ -311,8 +314,8 @@ static err_t write_dataset(const struct request *rq, const struct dataset_reques
     progress_end(&st->engine.progress);
     if (!e)
         printf("%s: %d input views at %d exposures, %d held out at %d\n", rq->out,
-               a->sample.n_views / 2 + 1, a->n_exposures < 3 ? a->n_exposures : 3,
-               a->sample.n_views / 2, a->n_exposures);
+               a->sample.n_views - held_out, a->n_exposures < 3 ? a->n_exposures : 3, held_out,
+               a->n_exposures);
     return e;
 }
 
@@ -325,8 +328,7 @@ int cmd_simulate_run(int argc, char **argv)
         {"out", "DIR", "folder of the data set; a former one is replaced", NULL, &rq.out, NULL},
         CMD_FORCE(rq.rules),
         CMD_KEY("seed", "N", "seed", "which world"),
-        {"views", "N", "input views, 2..32; one is held out between two (9)", NULL, &rq.views,
-         NULL},
+        {"views", "N", "inputs, 2..32; a view is held out between two (9)", NULL, &rq.views, NULL},
         {"kind", "K",
          "room, yard, dark, plain, mirror or park (default: the seed chooses room or yard)", NULL,
          &rq.kind, NULL},
@@ -334,6 +336,8 @@ int cmd_simulate_run(int argc, char **argv)
          &rq.spread, NULL},
         {"orbit", "DEG", "in a park: input views all around the subject, DEG degrees apart, 1..180",
          NULL, &rq.orbit, NULL},
+        {"walk", NULL, "in a park: 2..256 views around the subject, all inputs", NULL, NULL,
+         &rq.walk},
         {"depth", NULL, "write radiance and depth of the input views, too", NULL, NULL, &rq.depth},
         {"fov", "DEG", "field of view, 20..120 (60)", NULL, &rq.fov, NULL},
         {"lens", "SPEC...",

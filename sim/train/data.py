@@ -37,7 +37,8 @@ class Quality(c.Structure):
 class SampleScene(c.Structure):
     _fields_ = [("seed", c.c_uint64), ("kind", c.c_int), ("n_views", c.c_int), ("size", c.c_int),
                 ("spread", c.c_float), ("fov_deg", c.c_float), ("jitter", c.c_int),
-                ("orbit_deg", c.c_float), ("quality", Quality), ("n_optics", c.c_int),
+                ("orbit_deg", c.c_float), ("walk", c.c_int),
+                ("quality", Quality), ("n_optics", c.c_int),
                 ("optics", c.c_void_p), ("rig", c.c_void_p), ("target", c.c_void_p)]
 
 

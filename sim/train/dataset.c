@@ -41,20 +41,17 @@ struct set {
     double key;
 };
 
-static bool is_input(int view)
-{
-    return view % 2 == 0;
-}
-
 /* Inputs have the first, the middle and the last exposure. */
 static bool is_taken(const struct dataset_request *a, int view, int k)
 {
-    return !is_input(view) || k == 0 || k == a->n_exposures / 2 || k == a->n_exposures - 1;
+    return !sample_is_input(&a->sample, view) || k == 0 || k == a->n_exposures / 2 ||
+           k == a->n_exposures - 1;
 }
 
-static void picture_name(int view, int k, char out[NAME_CAP])
+static void picture_name(const struct sample_scene *a, int view, int k, char out[NAME_CAP])
 {
-    snprintf(out, NAME_CAP, "%s_ldr_%03d_%d.png", is_input(view) ? "train" : "test", view / 2, k);
+    snprintf(out, NAME_CAP, "%s_ldr_%03d_%d.png", sample_is_input(a, view) ? "train" : "test",
+             sample_number(a, view), k);
 }
 
 /* ---- pictures ---- */
@@ -71,7 +68,7 @@ static err_t write_pictures(const struct set *s, int view)
         struct image8 im = {x->w, x->h, 3, s->px + 3 * extent_pixels(x) * (size_t)k};
         if (!is_taken(a, view, k))
             continue;
-        picture_name(view, k, name);
+        picture_name(&a->sample, view, k, name);
         e = file_join(folder, name, path);
         if (!e)
             e = img_write_png_by(path, &im, a->sample.n_optics > 1 ? &maker : NULL);
@@ -85,8 +82,9 @@ static err_t write_radiance(const struct set *s, int view)
     struct image im = {x->w, x->h, 3, s->radiance + 3 * x->at};
     struct exrfile_extra extra = {.depth = s->depth + x->at, .cam = &s->cams[view]};
     char name[NAME_CAP], path[FILE_PATH_CAP];
-    snprintf(name, sizeof name, "images_hdr/%s_hdr_%03d.exr", is_input(view) ? "train" : "test",
-             view / 2);
+    snprintf(name, sizeof name, "images_hdr/%s_hdr_%03d.exr",
+             sample_is_input(&s->a->sample, view) ? "train" : "test",
+             sample_number(&s->a->sample, view));
     err_t e = file_join(s->dir, name, path);
     return e ? e : exrfile_write(path, &im, &extra, NULL);
 }
@@ -111,7 +109,8 @@ static err_t write_view(const struct run *r, const struct set *s, int view)
     err_t e = sample_expose(r, &cam, seen, a->n_exposures, a->stops, s->px);
     if (!e)
         e = write_pictures(s, view);
-    return e || (is_input(view) && !a->input_truth) ? e : write_radiance(s, view);
+    return e || (sample_is_input(&a->sample, view) && !a->input_truth) ? e
+                                                                       : write_radiance(s, view);
 }
 
 /* ---- text ---- */
@@ -135,7 +134,7 @@ static err_t write_exposures(const struct set *s)
         for (int k = 0; k < a->n_exposures; k++) {
             if (!is_taken(a, view, k))
                 continue;
-            picture_name(view, k, name);
+            picture_name(&a->sample, view, k, name);
             fprintf(f, "%s \"%s\": %.9g", before, name, exp2((double)a->stops[k]));
             before = ",\n";
         }
@@ -154,7 +153,7 @@ static err_t write_images(const struct set *s)
         return e;
     for (int view = 0; view < s->a->sample.n_views; view++) {
         const struct camera *c = &s->cams[view];
-        picture_name(view, s->a->n_exposures / 2, name);
+        picture_name(&s->a->sample, view, s->a->n_exposures / 2, name);
         fprintf(f, "%d", view + 1);
         for (int i = 0; i < 4; i++)
             fprintf(f, " %.9g", (double)c->q[i]);

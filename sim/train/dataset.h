@@ -9,7 +9,7 @@
 enum { DATASET_EXPOSURES = 8 };
 
 struct dataset_request {
-    struct sample_scene sample;     // n_views counts all cameras, 2 * inputs - 1
+    struct sample_scene sample;     // n_views counts all cameras: 2 * inputs - 1, or a walk
     int n_exposures;                // 1..DATASET_EXPOSURES
     float stops[DATASET_EXPOSURES]; // ascending, log2 of the exposure over the metered one
     bool noise;                     // as in sensor_default
@@ -17,9 +17,9 @@ struct dataset_request {
     struct curve curve;
 };
 
-/* Photograph the world into the folder `dir`, which exists. Cameras of even number are inputs
- * ("train"), at the first, middle and last exposure; those between are held out ("test"), at every
- * exposure and as radiance:
+/* Photograph the world into the folder `dir`, which exists. Inputs (sample_is_input) are
+ * "train", at the first, middle and last exposure; the others are "test", at every exposure and as
+ * radiance:
  *   images/{train,test}_ldr_VVV_E.png, images_hdr/test_hdr_VVV.exr (radiance, and Z: depth; if
  *   asked for, train_hdr_VVV.exr),
  *   exposure.json (2^stops), sparse/0 (COLMAP text, a camera for each of the optics)

@@ -13,7 +13,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { SIZE_LEAST = 14, WORKERS_MAX = 64, STOPS_MAX = 40 };
+enum { SIZE_LEAST = 14, WORKERS_MAX = 64, STOPS_MAX = 40, SEEDS = 64 };
 
 static const double KEY_LEVEL = 0.18;    // relative to full scale: a grey card
 static const double LIGHT_LEAST = 1e-4;  // darkest radiance that the meter follows
@@ -26,9 +26,19 @@ static double full_scale(const struct sensor *s)
     return codes < (double)s->full_well ? codes : (double)s->full_well;
 }
 
+bool sample_is_input(const struct sample_scene *a, int view)
+{
+    return a->walk || view % 2 == 0;
+}
+
+int sample_number(const struct sample_scene *a, int view)
+{
+    return a->walk ? view : view / 2;
+}
+
 int sample_camera_of(const struct sample_scene *a, int view)
 {
-    return a->n_optics > 0 ? view / 2 % a->n_optics : 0;
+    return a->n_optics > 0 ? sample_number(a, view) % a->n_optics : 0;
 }
 
 const struct optics *sample_optics(const struct sample_scene *a, int view)
@@ -82,6 +92,8 @@ static err_t check_scene(const struct sample_scene *a)
         return err_fail(
             ERR_ARG, "sample: orbit with cameras %g degrees apart, allowed are 0 to 180 in a park",
             (double)a->orbit_deg);
+    if (a->walk && a->kind != WORLD_PARK)
+        return err_fail(ERR_ARG, "sample: a walk needs the room of a park");
     if (a->fov_deg != 0 && !(a->fov_deg >= 20 && a->fov_deg <= 120))
         return err_fail(ERR_ARG, "sample: field of view of %g degrees, allowed are 20 to 120, or 0",
                         (double)a->fov_deg);
@@ -149,8 +161,8 @@ static err_t draw_view(void *ctx, int view, int worker)
     struct render_maps maps = {.radiance = s->radiance ? s->radiance + 3 * x->at : own,
                                .depth = s->depth ? s->depth + x->at : NULL};
     if (!e)
-        e = render_run(&r, s->world, s->cams + view, &quality,
-                       s->a->seed * SAMPLE_VIEWS + (uint64_t)view, &maps);
+        e = render_run(&r, s->world, s->cams + view, &quality, s->a->seed * SEEDS + (uint64_t)view,
+                       &maps);
     if (!e)
         s->median[view] = median_luminance(maps.radiance, (int)px, grey);
     arena_reset(r.tmp, mark);
@@ -352,7 +364,8 @@ err_t sample_make(const struct run *r, const struct sample_scene *a, float *radi
                   struct camera *cams, double *key)
 {
     struct sample s = {.r = r, .a = a, .radiance = radiance, .depth = depth, .cams = cams};
-    struct world_path path = {a->n_views, a->spread, a->fov_deg, a->jitter != 0, a->orbit_deg};
+    const struct world_path path = {a->n_views,     a->spread,    a->fov_deg,
+                                    a->jitter != 0, a->orbit_deg, a->walk != 0};
     struct arena room = {0};
     struct run prepare = *r;
     struct render_world *world = NULL;

@@ -9,27 +9,34 @@
 #include "sim/world/render.h"
 #include "sim/world/target.h"
 
-enum { SAMPLE_VIEWS = 64, SAMPLE_SIZE = 2048, SAMPLE_PX = 1 << 27, SAMPLE_SHOTS = 64 };
+enum { SAMPLE_VIEWS = 256, SAMPLE_SIZE = 2048, SAMPLE_PX = 1 << 27, SAMPLE_SHOTS = 64 };
 
 /* A world and the rig that photographs it. */
 struct sample_scene {
     uint64_t seed;
     int kind;                      // enum world_kind
-    int n_views, size;             // 1..64; px, 14..2048; at most SAMPLE_PX px in all
+    int n_views, size;             // 1..SAMPLE_VIEWS; px, 14..2048; at most SAMPLE_PX px in all
     float spread;                  // as in struct world_path
     float fov_deg;                 // as in struct world_path
     int jitter;                    // bool
     float orbit_deg;               // as in struct world_path, of a WORLD_PARK; 0: none
+    int walk;                      // bool, as in struct world_path, of a WORLD_PARK; then all views
+                                   // are inputs
     struct render_quality quality; // the lens is that of:
     int n_optics;                  // 0: none, square pictures and fov_deg
-    const struct optics *optics;   // (n_optics) of the rig's cameras, which take turns: views 2 i
-                                   // and 2 i + 1 are taken by camera i modulo n_optics
+    const struct optics *optics;   // (n_optics) of the rig's cameras, which take turns: a view is
+                                   // taken by camera sample_number() modulo n_optics
     const struct camera *rig; // ((n_views + 1) / 2) poses of a rig, brought to where the views of
                               // even number would be; those of odd number stand between two of
                               // them; NULL: none
     const struct target *target; // in the world, before views of even number; then lengths of the
                                  // rig are m, else it is scaled to the place; NULL: none
 };
+
+/* Inputs are the views of even number, and all of a walk; the others are held out. The number of a
+ * view counts those of its own kind. */
+bool sample_is_input(const struct sample_scene *a, int view);
+int sample_number(const struct sample_scene *a, int view);
 
 /* The number of the camera that takes a view, and what stands before its sensor; 0 and NULL without
  * optics. */

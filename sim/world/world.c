@@ -16,7 +16,10 @@ static const float CLEAR = 0.12f; // m, between a camera and a surface
 static const float ARC = 2.6f;    // rad, span of the arc at spread 1
 static const float STEP = 0.5f;   // rad, largest step of the arc at spread 1
 static const float RADIAN = 0.01745329252f;
+static const float NEARER = 0.22f;         // of the ring, that a walk keeps to its sides
+static const float ASIDE = 50.0f * RADIAN; // that the camera of a walk swings
 
+enum { SWING = 20 };                   // cameras of a walk from one side to the other and back
 enum { DIRECTIONS = 180, PULLS = 24 }; // tried on either side, 1 degree each; steps inwards
 
 static err_t alloc_arrays(struct arena *keep, struct world *w)
@@ -232,14 +235,14 @@ static void place_camera(struct builder *b, const struct world_path *path, const
     pull_inwards(w, p);
 }
 
-/* Where camera i of an orbit stands: at one distance and height, further out if something is in the
- * way. */
-static void place_on_orbit(struct builder *b, const struct world_path *path, float first, int i,
-                           float p[3])
+/* Where a camera stands on the ring around the focus: at `away` of its radius in a direction,
+ * further out if something is in the way. */
+static void place_on_ring(struct builder *b, const struct world_path *path, float turn, float away,
+                          float p[3])
 {
     const struct world *w = b->w;
-    float c, s, radius = w->around, up = 0.5f;
-    builder_turn(first + RADIAN * path->orbit_deg * (float)i, &c, &s);
+    float c, s, radius = w->around * away, up = 0.5f;
+    builder_turn(turn, &c, &s);
     if (path->jitter) {
         radius *= 1.0f + builder_draw(b, -0.15f, 0.15f);
         up = builder_draw(b, 0.0f, 1.0f);
@@ -300,8 +303,9 @@ static void quaternion_from(const float r[9], float q[4])
         q[i] = sum[k][i] * len;
 }
 
+/* aside: rad, to the left of the focus as seen from the camera. */
 static void aim_camera(struct builder *b, const struct world_path *path, const float p[3],
-                       struct camera *cam)
+                       float aside, struct camera *cam)
 {
     float at[3], r[9], roll = 0.0f, loose = 0.25f * fminf(fmaxf(path->spread, 0.0f), 1.0f) + 0.05f;
     for (int c = 0; c < 3; c++)
@@ -310,6 +314,13 @@ static void aim_camera(struct builder *b, const struct world_path *path, const f
         for (int c = 0; c < 3; c++)
             at[c] += builder_draw(b, -loose, loose);
         roll = builder_draw(b, -0.09f, 0.09f);
+    }
+    if (aside != 0) {
+        const float to[2] = {at[0] - p[0], at[1] - p[1]};
+        float c, s;
+        builder_turn(aside, &c, &s);
+        at[0] = p[0] + c * to[0] - s * to[1];
+        at[1] = p[1] + s * to[0] + c * to[1];
     }
     rotation_towards(p, at, roll, r);
     quaternion_from(r, cam->q);
@@ -327,18 +338,25 @@ void world_cameras(const struct world *w, const struct world_path *path, uint64_
     if (path->fov_deg > 0.0f)
         fov = fminf(fmaxf(path->fov_deg, 20.0f), 120.0f);
     builder_turn(0.5f * RADIAN * fov, &c, &s);
-    const bool orbit = path->orbit_deg > 0.0f && w->around > 0.0f;
-    const float first = orbit ? builder_draw(&b, 0.0f, 360.0f * RADIAN) : 0.0f;
+    const bool room = w->around > 0.0f, walk = path->walk && room;
+    const bool orbit = path->orbit_deg > 0.0f && room && !walk;
+    const float first = orbit || walk ? builder_draw(&b, 0.0f, 360.0f * RADIAN) : 0.0f;
     draw_arc(&b, path, &a);
     for (int i = 0; i < path->n; i++) {
-        float p[3];
+        const float along = 360.0f * RADIAN * (float)i / (float)path->n;
+        float p[3], aside = 0, unused;
         cams[i] = (struct camera){.w = size, .h = size};
         cams[i].fx = cams[i].fy = 0.5f * (float)size * c / s;
         cams[i].cx = cams[i].cy = 0.5f * (float)size;
-        if (orbit)
-            place_on_orbit(&b, path, first, i, p);
+        if (walk) {
+            float near;
+            builder_turn(along, &near, &unused);
+            builder_turn(360.0f * RADIAN * (float)i / SWING, &unused, &aside);
+            place_on_ring(&b, path, first + 2 * along, 1 + NEARER * near, p);
+        } else if (orbit)
+            place_on_ring(&b, path, first + RADIAN * path->orbit_deg * (float)i, 1, p);
         else
             place_camera(&b, path, &a, i, p);
-        aim_camera(&b, path, p, &cams[i]);
+        aim_camera(&b, path, p, ASIDE * aside, &cams[i]);
     }
 }

@@ -23,10 +23,13 @@ struct world_path {
     bool jitter;     // free hand: heights, targets and rolls differ; else a regular rig
     float orbit_deg; // of a world that has room around its focus: cameras on a circle around it, so
                      // far from each other; 0: spread counts
+    bool walk; // of such a world: twice around it, the second time nearer to it, back to where it
+               // began; the camera swings to both sides of the focus
 };
 
-/* Cameras around the focus, outside of every solid, square pictures of `size` px: on a circle, or
- * on an arc or grid inside `stand`, where a camera inside a solid is pulled towards the middle.
+/* Cameras around the focus, outside of every solid, square pictures of `size` px: on a circle, on a
+ * walk, or on an arc or grid inside `stand`, where a camera inside a solid is pulled towards the
+ * middle.
  * out:  cams[path->n] */
 void world_cameras(const struct world *w, const struct world_path *path, uint64_t seed, int size,
                    struct camera *cams);

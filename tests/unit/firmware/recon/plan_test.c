@@ -107,7 +107,7 @@ static int open_all(void **state)
     struct render_world *scene;
     struct camera cams[PLACES];
     const struct render_quality quick = {.samples = 1, .shadow = 1};
-    const struct world_path path = {PLACES, 0.2f, 60, false, 0};
+    const struct world_path path = {PLACES, 0.2f, 60, false, 0, false};
     struct render_maps maps = {.radiance = malloc(3 * PHOTO * PHOTO * sizeof(float))};
     (void)state;
     assert_non_null(maps.radiance);

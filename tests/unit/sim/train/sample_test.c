@@ -150,7 +150,7 @@ static void wrong_requests_are_refused(void **state)
         "field of view", "spread", "field of view", "samples"};
     bad[0].kind = WORLD_KINDS;
     bad[1].n_views = 0;
-    bad[2].n_views = 65;
+    bad[2].n_views = SAMPLE_VIEWS + 1;
     bad[3].size = 13;
     bad[4].size = SAMPLE_SIZE + 1;
     bad[5].spread = 1.01f;
@@ -166,6 +166,10 @@ static void wrong_requests_are_refused(void **state)
     room.orbit_deg = 20;
     assert_int_equal(make(&room, 1, &r), ERR_ARG);
     assert_non_null(strstr(err_text(), "orbit"));
+    room.orbit_deg = 0;
+    room.walk = 1;
+    assert_int_equal(make(&room, 1, &r), ERR_ARG);
+    assert_non_null(strstr(err_text(), "walk"));
     struct sample_scene large = usual;
     large.n_views = 64;
     large.size = SAMPLE_SIZE;

@@ -296,7 +296,7 @@ static void cameras(void **state)
         struct world w;
         make(seed, (int)(seed % (WORLD_KINDS + 1)) - 1, &w);
         for (int i = 0; i < 36; i++) {
-            struct world_path path = {N[i % 6], SPREAD[i % 3], FOV[i / 6 % 3], i & 1, 0};
+            struct world_path path = {N[i % 6], SPREAD[i % 3], FOV[i / 6 % 3], i & 1, 0, false};
             path.spread = SPREAD[i / 12];
             struct camera cams[VIEWS], again[VIEWS];
             world_cameras(&w, &path, seed + (uint64_t)i, 224, cams);
@@ -333,7 +333,7 @@ static void spread_sets_the_steps(void **state)
         make(seed, WORLD_ANY, &w);
         for (int n = 2; n <= 12; n += 5) {
             struct camera cams[VIEWS];
-            struct world_path path = {n, 0.0f, 60.0f, seed & 1, 0};
+            struct world_path path = {n, 0.0f, 60.0f, seed & 1, 0, false};
             world_cameras(&w, &path, seed, 224, cams);
             for (int i = 1; i < n; i++)
                 assert_true(angle(&w, &cams[0], &cams[i]) < 0.1f);
@@ -362,7 +362,7 @@ static void orbits_go_around(void **state)
         assert_true(w.around > 3.0f);
         for (int deg = 5; deg <= 45; deg += 10) {
             struct camera cams[8];
-            const struct world_path path = {8, 0.3f, 60.0f, false, (float)deg};
+            const struct world_path path = {8, 0.3f, 60.0f, false, (float)deg, false};
             world_cameras(&w, &path, seed, 224, cams);
             for (int i = 0; i < 8; i++) {
                 float p[3], q[3], at[2];
@@ -377,6 +377,36 @@ static void orbits_go_around(void **state)
                 outside_of_all(&w, p);
             }
         }
+    }
+}
+
+/* A walk goes twice around and comes back; its cameras look to both sides of the focus. */
+static void walks_come_back(void **state)
+{
+    (void)state;
+    for (uint64_t seed = 0; seed < 10; seed++) {
+        enum { N = 60 };
+        struct camera cams[N];
+        struct world w;
+        float around = 0, left = 0, right = 0;
+        make(seed, WORLD_PARK, &w);
+        const struct world_path path = {N, 0.3f, 60.0f, false, 0.0f, true};
+        world_cameras(&w, &path, seed, 224, cams);
+        for (int i = 0; i < N; i++) {
+            float p[3], q[3], at[2];
+            centre(&cams[i], p);
+            centre(&cams[(i + 1) % N], q);
+            outside_of_all(&w, p);
+            assert_true(hypotf(p[0] - q[0], p[1] - q[1]) < 0.45f * w.around);
+            const float px = p[0] - w.focus[0], py = p[1] - w.focus[1];
+            const float qx = q[0] - w.focus[0], qy = q[1] - w.focus[1];
+            around += atan2f(px * qy - py * qx, px * qx + py * qy);
+            assert_true(project(&cams[i], w.focus, at));
+            left = fminf(left, at[0]);
+            right = fmaxf(right, at[0]);
+        }
+        assert_true(fabsf(around - 4 * 3.14159265f) < 1e-3f);
+        assert_true(left < -0.5f && right > 0.5f); // beyond the picture
     }
 }
 
@@ -403,6 +433,7 @@ int main(void)
         cmocka_unit_test(same_seed_same_bytes),
         cmocka_unit_test(kinds_are_what_they_say),
         cmocka_unit_test(orbits_go_around),
+        cmocka_unit_test(walks_come_back),
         cmocka_unit_test(cameras),
         cmocka_unit_test(spread_sets_the_steps),
         cmocka_unit_test(refusals),
