@@ -1,7 +1,9 @@
-/* Cholesky by rows. */
+/* Cholesky by panels of columns. */
 #include "core/base/lin.h"
 
 #include <math.h>
+
+enum { PANEL = 64, TILE = 16 }; // columns
 
 double lin_normalise(double x[3])
 {
@@ -45,14 +47,15 @@ void lin_add_equation(double *h, double *g, int n, const double *row, double w, 
     }
 }
 
-bool lin_cholesky(double *a, int n)
+/* Columns from..end, from which the products with the columns before have been subtracted. */
+static bool finish_columns(double *a, int n, int from, int end)
 {
-    for (int i = 0; i < n; i++) {
+    for (int i = from; i < n; i++) {
         double *ai = a + (long)i * n;
-        for (int j = 0; j <= i; j++) {
+        for (int j = from; j <= i && j < end; j++) {
             const double *aj = a + (long)j * n;
             double sum = ai[j];
-            for (int k = 0; k < j; k++)
+            for (int k = from; k < j; k++)
                 sum -= ai[k] * aj[k];
             if (j < i)
                 ai[j] = sum / aj[j];
@@ -61,6 +64,52 @@ bool lin_cholesky(double *a, int n)
             else
                 return false;
         }
+    }
+    return true;
+}
+
+static bool all_zero(const double *x, int n)
+{
+    for (int i = 0; i < n; i++)
+        if (x[i] != 0)
+            return false;
+    return true;
+}
+
+/* A tile of columns from `at` on -= products of the rows' entries in columns from..end. */
+static void subtract_columns(double *a, int n, const int column[2], int at)
+{
+    const int from = column[0], depth = column[1] - from, wide = n - at < TILE ? n - at : TILE;
+    double tile[PANEL * TILE] = {0}; // the rows `at`.. of these columns, transposed
+    for (int j = 0; j < wide; j++)
+        for (int k = 0; k < depth; k++)
+            tile[k * TILE + j] = a[(long)(at + j) * n + from + k];
+    for (int i = at; i < n; i++) {
+        double *ai = a + (long)i * n, sum[TILE] = {0};
+        const int most = i - at + 1 < wide ? i - at + 1 : wide;
+        if (all_zero(ai + from, depth)) // views that see nothing in common
+            continue;
+        for (int j = 0; j < most; j++)
+            sum[j] = ai[at + j];
+        for (int k = 0; k < depth; k++)
+            for (int j = 0; j < TILE; j++)
+                sum[j] -= ai[from + k] * tile[k * TILE + j];
+        for (int j = 0; j < most; j++)
+            ai[at + j] = sum[j];
+    }
+}
+
+/* From panel to panel of columns. Products are subtracted from an entry in the order of columns,
+ * so that panels do not change a bit of it. Where a row has nothing in a panel there is nothing to
+ * subtract. */
+bool lin_cholesky(double *a, int n)
+{
+    for (int from = 0; from < n; from += PANEL) {
+        const int end = from + PANEL < n ? from + PANEL : n;
+        if (!finish_columns(a, n, from, end))
+            return false;
+        for (int at = end; at < n; at += TILE)
+            subtract_columns(a, n, (const int[2]){from, end}, at);
     }
     return true;
 }
