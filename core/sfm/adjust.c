@@ -15,7 +15,7 @@
 #include <math.h>
 #include <string.h>
 
-enum { GROUPS = 8 };
+enum { GROUPS = 8, GROUPS_MANY = 4, MANY = 64 }; // GROUPS_MANY: of more than MANY views
 static const double BEHIND = 1e30, NEAREST = 1e-9,
                     WIDEST = 2, // tangent of 63 degrees
     DONE = 3e-6,                // relative gain of a last step
@@ -188,12 +188,13 @@ struct normal {
     const struct run *r;
     const struct adjust *a;
     double kernel2, damping;
+    int n_groups;
     int n;                    // unknowns of cameras: 6 V, then the free ones of the lenses
     int *at;                  // (n_lenses + 1) first unknown of each lens
-    double *sum;              // (GROUPS, n, n) lower triangles
-    double *rhs;              // (GROUPS, n)
-    double *cross;            // (GROUPS, V, 18 + 18) W and W H^-1 of the observations of a track
-    struct lens_block *block; // (GROUPS, V)
+    double *sum;              // (groups, n, n) lower triangles
+    double *rhs;              // (groups, n)
+    double *cross;            // (groups, V, 18 + 18) W and W H^-1 of the observations of a track
+    struct lens_block *block; // (groups, V)
     double *step;             // (n)
     double *trial;            // (n_tracks, 4)
     double cost[GROUPS];
@@ -204,10 +205,17 @@ static double cauchy_loss(double e2, double kernel2)
     return 0.5 * kernel2 * log1p(e2 / kernel2);
 }
 
-static void group_of(int n_tracks, int g, int *from, int *to)
+/* Groups of tracks. The sums of each are a whole system, so large ones have fewer. */
+static int groups_of(int n_views)
 {
-    *from = (int)((long)n_tracks * g / GROUPS);
-    *to = (int)((long)n_tracks * (g + 1) / GROUPS);
+    return n_views > MANY ? GROUPS_MANY : GROUPS;
+}
+
+/* Tracks of a group. */
+static void tracks_of(const struct normal *m, int g, int *from, int *to)
+{
+    *from = (int)((long)m->a->n_tracks * g / m->n_groups);
+    *to = (int)((long)m->a->n_tracks * (g + 1) / m->n_groups);
 }
 
 /* Sums of one track for its point. */
@@ -405,7 +413,7 @@ static err_t normal_group(void *ctx, int g, int worker)
     (void)worker;
     memset(sum, 0, n * n * sizeof *sum);
     memset(rhs, 0, n * sizeof *rhs);
-    group_of(m->a->n_tracks, g, &from, &to);
+    tracks_of(m, g, &from, &to);
     for (int t = from; t < to; t++) {
         struct track_sum track;
         linearise_track(m, t, g, sum, rhs, &track);
@@ -450,9 +458,9 @@ static err_t camera_system(struct normal *m, bool *ok)
 {
     const struct adjust *a = m->a;
     const int n = m->n;
-    err_t e = pool_for(m->r->pool, GROUPS, normal_group, m);
+    err_t e = pool_for(m->r->pool, m->n_groups, normal_group, m);
     double *s = m->sum;
-    for (int g = 1; g < GROUPS && !e; g++) {
+    for (int g = 1; g < m->n_groups && !e; g++) {
         for (size_t i = 0; i < (size_t)n * (size_t)n; i++)
             s[i] += m->sum[(size_t)g * (size_t)n * (size_t)n + i];
         for (int i = 0; i < n; i++)
@@ -497,7 +505,7 @@ static err_t back_group(void *ctx, int g, int worker)
     const double *cross = group_cross(m, g);
     int from, to;
     (void)worker;
-    group_of(a->n_tracks, g, &from, &to);
+    tracks_of(m, g, &from, &to);
     for (int t = from; t < to; t++) {
         struct track_sum track;
         double inverse[9], by[3], *point = m->trial + 4 * (size_t)t;
@@ -528,7 +536,7 @@ static err_t cost_group(void *ctx, int g, int worker)
     struct normal *m = ctx;
     int from, to;
     (void)worker;
-    group_of(m->a->n_tracks, g, &from, &to);
+    tracks_of(m, g, &from, &to);
     m->cost[g] = 0;
     for (int t = from; t < to; t++)
         m->cost[g] += track_cost(m->a, t, m->a->point + 4 * (size_t)t, m->kernel2);
@@ -537,9 +545,9 @@ static err_t cost_group(void *ctx, int g, int worker)
 
 static err_t total_cost(struct normal *m, double *out)
 {
-    err_t e = pool_for(m->r->pool, GROUPS, cost_group, m);
+    err_t e = pool_for(m->r->pool, m->n_groups, cost_group, m);
     *out = 0;
-    for (int g = 0; g < GROUPS && !e; g++)
+    for (int g = 0; g < m->n_groups && !e; g++)
         *out += m->cost[g];
     return e;
 }
@@ -624,7 +632,7 @@ static err_t minimise_cost(struct normal *m, struct adjust *a, const struct back
         bool ok;
         e = camera_step(m, &ok);
         if (!e && ok)
-            e = pool_for(m->r->pool, GROUPS, back_group, m);
+            e = pool_for(m->r->pool, m->n_groups, back_group, m);
         if (e || !ok) {
             m->damping *= 10;
             continue;
@@ -652,14 +660,14 @@ static err_t minimise_cost(struct normal *m, struct adjust *a, const struct back
 static err_t layout(struct normal *m, struct backup *b, struct arena *tmp, const int count[3])
 {
     const size_t n = count_unknowns(count[0], count[1]), v = (size_t)count[0];
-    const size_t lenses = (size_t)count[1];
-    err_t e = arena_alloc(tmp, GROUPS * n * n, sizeof(double), &m->sum);
+    const size_t lenses = (size_t)count[1], groups = (size_t)groups_of(count[0]);
+    err_t e = arena_alloc(tmp, groups * n * n, sizeof(double), &m->sum);
     if (!e)
-        e = arena_alloc(tmp, GROUPS * n, sizeof(double), &m->rhs);
+        e = arena_alloc(tmp, groups * n, sizeof(double), &m->rhs);
     if (!e)
-        e = arena_alloc(tmp, GROUPS * 36 * v, sizeof(double), &m->cross);
+        e = arena_alloc(tmp, groups * 36 * v, sizeof(double), &m->cross);
     if (!e)
-        e = arena_alloc(tmp, GROUPS * v, sizeof *m->block, &m->block);
+        e = arena_alloc(tmp, groups * v, sizeof *m->block, &m->block);
     if (!e)
         e = arena_alloc(tmp, n, sizeof(double), &m->step);
     if (!e)
@@ -682,7 +690,8 @@ size_t adjust_plan(int n_views, int n_lenses, int n_tracks)
 static err_t begin_adjust(const struct run *r, struct adjust *a, double kernel, struct normal *m,
                           struct backup *b)
 {
-    *m = (struct normal){.r = r, .a = a, .kernel2 = kernel * kernel};
+    *m = (struct normal){
+        .r = r, .a = a, .kernel2 = kernel * kernel, .n_groups = groups_of(a->n_views)};
     err_t e = layout(m, b, r->tmp, (int[3]){a->n_views, a->n_lenses, a->n_tracks});
     m->n = 6 * a->n_views;
     for (int i = 0; i < a->n_lenses && !e; i++) {

@@ -4,7 +4,9 @@
  * 1987). The start whose observations fit with more redundancy wins: a track of n inliers counts 2
  * n - 3. From cameras: their rotations may be wrong by many degrees, so that rays do not meet.
  * Points start at one depth along their rays, and the first, widest rounds correct the rotations.
- * From tracks: viewgraph.h. Views that do not fit are placed again from points (resect.h). */
+ * From tracks: viewgraph.h; of many views only the centres of a few at first, to which the others
+ * are added, those first that see the most of the points so far. Views that do not fit are placed
+ * again from points (resect.h). */
 #include "core/sfm/bundle.h"
 
 #include "core/base/lin.h"
@@ -12,6 +14,7 @@
 #include "core/base/rotation.h"
 #include "core/sfm/bundle_inner.h"
 #include "core/sfm/connectivity.h"
+#include "core/sfm/pair.h"
 #include "core/sfm/resect.h"
 #include "core/sfm/similarity.h"
 #include "core/sfm/triangulate.h"
@@ -19,7 +22,10 @@
 #include <math.h>
 #include <string.h>
 
-enum { LENS_GATE = 3 }; // of the gate, for points through a lens that is only about right
+enum {
+    LENS_GATE = 3, // of the gate, for points through a lens that is only about right
+    CORE = 12      // views that many begin with
+};
 
 /* Focal length over picture size: 120 degrees of a fisheye. */
 static const double ANGLE120 = 0.477464829275686;
@@ -245,6 +251,26 @@ static err_t place_again(struct bundle *b, bool *any)
     return run_check(b->r, "placing views");
 }
 
+/* Place the views that see more than half as many points as the one that sees the most. */
+static err_t place_most(struct bundle *b, bool *any)
+{
+    struct adjust *a = &b->a;
+    int seen[BUNDLE_VIEWS_MAX] = {0}, most = CONNECTIVITY_VIEW;
+    const double gate = 2 * BUNDLE_GATE * b->scale;
+    err_t e = OK;
+    for (int v = 0; v < b->n_views && !e; v++) {
+        if (!a->placed[v] && !is_lens_unknown(b, v))
+            seen[v] = resect_view(&b->g, a, v, gate);
+        most = num_max(most, seen[v]);
+        e = run_check(b->r, "placing views");
+    }
+    *any = false;
+    for (int v = 0; v < b->n_views; v++)
+        if (2 * seen[v] >= most && seen[v] >= CONNECTIVITY_VIEW)
+            a->placed[v] = *any = true;
+    return e;
+}
+
 /* The last rounds, common to both starts. */
 static err_t run_last_rounds(struct bundle *b)
 {
@@ -254,7 +280,8 @@ static err_t run_last_rounds(struct bundle *b)
     b->scale = error_scale(b);
     if (!e)
         e = run_rounds(b, last, 1);
-    connectivity_prune(&b->a);
+    if (!e)
+        e = connectivity_prune(b->r, &b->a);
     if (!e && !b->cfg->rig_known)
         e = place_again(b, &any);
     if (!e && any)
@@ -263,7 +290,8 @@ static err_t run_last_rounds(struct bundle *b)
         e = run_rounds(b, last, 2);
     if (!e)
         e = triangulate_points(b->r, &b->a, BUNDLE_GATE * b->scale);
-    connectivity_prune(&b->a);
+    if (!e)
+        e = connectivity_prune(b->r, &b->a);
     if (!e)
         e = triangulate_points(b->r, &b->a, BUNDLE_GATE * b->scale);
     return e;
@@ -304,22 +332,48 @@ static void free_focals(struct bundle *b, bool free)
         b->a.lens[i].free[0] = free;
 }
 
+/* From a few views to all. Focal lengths are those of the few: along a walk that does not close yet
+ * they would drift. */
+static err_t grow_views(struct bundle *b)
+{
+    static const struct round first[] = {{30, 10, 10}, {12, 4, 10}}, next[] = {{12, 4, 8}},
+                              closed[] = {{30, 10, 10}, {20, 6, 10}};
+    bool any = true;
+    err_t e = run_rounds(b, first, 2);
+    free_focals(b, false);
+    while (any && !e) {
+        e = place_most(b, &any);
+        if (!e && any)
+            e = run_rounds(b, next, 1);
+    }
+    free_focals(b, !b->cfg->focal_known);
+    return e ? e : run_rounds(b, closed, 2); // its ends may lie apart
+}
+
 static err_t from_tracks(struct bundle *b)
 {
     static const struct round first[] = {{30, 10, 10}, {20, 6, 10}};
     struct adjust *a = &b->a;
+    const bool many = b->n_views > PAIR_ALL;
     bool found = false;
+    int n_placed;
     reset_bundle(b);
     err_t e = viewgraph_pairs(b->r, a, &b->g);
-    if (e || viewgraph_rotations(&b->g, a) == 0)
+    if (!e)
+        e = viewgraph_rotations(b->r, &b->g, a, &n_placed);
+    if (e || n_placed == 0)
         return e;
     e = viewgraph_vote(b->r, &b->g, a);
     for (int i = 0; i < b->tracks->n && !e; i++)
         b->trusted[i] = a->in[i] || !a->placed[a->obs[i].view];
+    if (many)
+        viewgraph_core(&b->g, CORE, a);
+    for (int i = 0; i < b->tracks->n && many; i++)
+        a->in[i] = a->in[i] && a->placed[a->obs[i].view];
     if (!e)
         e = viewgraph_centres(b->r, &b->g, a, &found);
     if (!e)
-        e = run_rounds(b, first, 2);
+        e = many ? grow_views(b) : run_rounds(b, first, 2);
     if (!e)
         e = run_last_rounds(b);
     if (!e)
@@ -472,6 +526,7 @@ void bundle_plan(struct plan *p, int n_views, int n_lenses, const struct match_t
     arena_step(&p->tmp, selfcal_plan(n_views, n_lenses, t->n_tracks, t->n));
     arena_step(&p->tmp, viewgraph_plan(n_views, t->n));
     arena_step(&p->tmp, similarity_plan(n_views));
+    arena_step(&p->tmp, connectivity_plan(n_views));
     arena_reset(&p->tmp, mark);
 }
 

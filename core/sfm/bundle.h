@@ -11,7 +11,7 @@
 #include "core/sfm/match.h"
 #include "core/sfm/selfcal.h"
 
-enum { BUNDLE_VIEWS_MAX = 64 };
+enum { BUNDLE_VIEWS_MAX = 512 };
 #define BUNDLE_FOCAL 0.8660254037844386 // usual, over the longer edge: 60 degrees
 
 /* Lens of a physical camera: fx = fy, the terms, and cx, cy, for px from the middle of its views as

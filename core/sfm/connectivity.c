@@ -13,10 +13,32 @@
 static const double AGREE = 0.6; // least share of the points of others that a view sees
 
 struct links_of_views {
-    int common[CONNECTIVITY_VIEWS_MAX][CONNECTIVITY_VIEWS_MAX]; // inliers of both
-    int matched[CONNECTIVITY_VIEWS_MAX],
-        agreed[CONNECTIVITY_VIEWS_MAX]; // points that two others place: matched; in
+    int *common;           // (n, n) inliers of both, in the lower triangle
+    int *matched, *agreed; // (n) points that two others place: matched; in
+    int *to, *size;        // (n) of union and find: another view of a part; views of a part
+    int n;
 };
+
+static err_t layout(struct links_of_views *s, struct arena *tmp, int n_views)
+{
+    const size_t n = (size_t)n_views;
+    s->n = n_views;
+    err_t e = arena_alloc(tmp, n * n, sizeof *s->common, &s->common);
+    if (!e)
+        e = arena_alloc(tmp, n, sizeof *s->matched, &s->matched);
+    if (!e)
+        e = arena_alloc(tmp, n, sizeof *s->agreed, &s->agreed);
+    if (!e)
+        e = arena_alloc(tmp, n, sizeof *s->to, &s->to);
+    return e ? e : arena_zalloc(tmp, n, sizeof *s->size, &s->size);
+}
+
+size_t connectivity_plan(int n_views)
+{
+    struct arena tmp = arena_counter();
+    struct links_of_views s;
+    return layout(&s, &tmp, n_views) ? SIZE_MAX : tmp.peak;
+}
 
 static bool is_counted(const struct adjust *a, int i)
 {
@@ -25,7 +47,10 @@ static bool is_counted(const struct adjust *a, int i)
 
 static void count_links(const struct adjust *a, struct links_of_views *out)
 {
-    memset(out, 0, sizeof *out);
+    const size_t all = (size_t)out->n;
+    memset(out->common, 0, all * all * sizeof *out->common);
+    memset(out->matched, 0, all * sizeof *out->matched);
+    memset(out->agreed, 0, all * sizeof *out->agreed);
     for (int t = 0; t < a->n_tracks; t++) {
         int n = 0;
         for (int i = a->first[t]; i < a->first[t + 1]; i++)
@@ -35,20 +60,20 @@ static void count_links(const struct adjust *a, struct links_of_views *out)
             out->matched[v] += n - in > 1;
             out->agreed[v] += in && n > 2;
             for (int j = a->first[t]; j <= i && in; j++)
-                out->common[v][a->obs[j].view] += is_counted(a, j);
+                out->common[v * out->n + a->obs[j].view] += is_counted(a, j);
         }
     }
 }
 
 static int common_of(const struct links_of_views *s, int u, int v)
 {
-    return u < v ? s->common[v][u] : s->common[u][v];
+    return u < v ? s->common[v * s->n + u] : s->common[u * s->n + v];
 }
 
 static bool is_held(const struct adjust *a, const struct links_of_views *s, int v, int n_placed)
 {
     int links = 0;
-    if (s->common[v][v] < CONNECTIVITY_VIEW)
+    if (common_of(s, v, v) < CONNECTIVITY_VIEW)
         return false;
     if (n_placed < 3)
         return true;
@@ -66,7 +91,7 @@ static bool unplace_worst(struct adjust *a, const struct links_of_views *s)
         n_placed += a->placed[v];
     for (int v = 0; v < a->n_views; v++)
         if (a->placed[v] && !is_held(a, s, v, n_placed) &&
-            (worst < 0 || s->common[v][v] < s->common[worst][worst]))
+            (worst < 0 || common_of(s, v, v) < common_of(s, worst, worst)))
             worst = v;
     if (worst >= 0)
         a->placed[worst] = false;
@@ -83,11 +108,11 @@ static int root_of(const int *to, int v)
 /* Keep only the largest set of connected views. */
 static void keep_largest(struct adjust *a, const struct links_of_views *s)
 {
-    int to[CONNECTIVITY_VIEWS_MAX], size[CONNECTIVITY_VIEWS_MAX] = {0}, best = 0;
+    int *to = s->to, *size = s->size, best = 0;
     for (int v = 0; v < a->n_views; v++) {
         to[v] = v;
         for (int u = 0; u < v && a->placed[v]; u++)
-            if (a->placed[u] && s->common[v][u] >= CONNECTIVITY_LINK)
+            if (a->placed[u] && common_of(s, u, v) >= CONNECTIVITY_LINK)
                 to[root_of(to, u)] = root_of(to, v);
     }
     for (int v = 0; v < a->n_views; v++)
@@ -98,11 +123,17 @@ static void keep_largest(struct adjust *a, const struct links_of_views *s)
         a->placed[v] &= root_of(to, v) == best && size[best] > 1;
 }
 
-void connectivity_prune(struct adjust *a)
+err_t connectivity_prune(const struct run *r, struct adjust *a)
 {
+    const size_t mark = arena_mark(r->tmp);
     struct links_of_views s;
+    err_t e = layout(&s, r->tmp, a->n_views);
+    if (e)
+        return e;
     do
         count_links(a, &s);
     while (unplace_worst(a, &s));
     keep_largest(a, &s);
+    arena_reset(r->tmp, mark);
+    return run_check(r, "connections of views");
 }

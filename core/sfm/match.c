@@ -35,7 +35,8 @@ struct matcher {
     int *parent;    // (n cap) of union and find
     int *first;     // (n cap) node of a corner's place
     int *next;      // (n cap) members of a track, a ring
-    uint64_t *mask; // (n cap) views of a track, modulo 64
+    int words;      // of a mask
+    uint64_t *mask; // (n cap, words) views of a track
     int n_tracks;
     struct track *track;           // (n cap / 2)
     struct match_observation *obs; // (n cap)
@@ -48,10 +49,22 @@ struct track {
 
 /* ---- sizes ---- */
 
+/* So many for PAIR_ALL views, or in proportion for more. */
+static size_t for_views(int n_views, size_t most)
+{
+    return most * (size_t)num_max(n_views, PAIR_ALL) / PAIR_ALL;
+}
+
 static size_t obs_cap(int n_views, int size)
 {
-    size_t n = (size_t)n_views * (size_t)corner_cap(size);
-    return n < MATCH_SEEN_MAX ? n : MATCH_SEEN_MAX;
+    const size_t n = (size_t)n_views * (size_t)corner_cap(size),
+                 most = for_views(n_views, MATCH_SEEN_MAX);
+    return n < most ? n : most;
+}
+
+static int tracks_cap(int n_views)
+{
+    return (int)for_views(n_views, MATCH_TRACKS_MAX);
 }
 
 /* ---- tracks ---- */
@@ -69,10 +82,15 @@ static int root_of(int *parent, int i)
 static void join_tracks(struct matcher *m, int i, int j)
 {
     int a = root_of(m->parent, i), b = root_of(m->parent, j);
-    if (a == b || (m->mask[a] & m->mask[b]))
+    uint64_t *to = m->mask + (size_t)a * (size_t)m->words, both = 0;
+    const uint64_t *from = m->mask + (size_t)b * (size_t)m->words;
+    for (int k = 0; k < m->words; k++)
+        both |= to[k] & from[k];
+    if (a == b || both)
         return;
     m->parent[b] = a;
-    m->mask[a] |= m->mask[b];
+    for (int k = 0; k < m->words; k++)
+        to[k] |= from[k];
     int t = m->next[a];
     m->next[a] = m->next[b];
     m->next[b] = t;
@@ -98,7 +116,7 @@ static void start_nodes(struct matcher *m)
             m->parent[node] = m->first[node] =
                 at + corner_at_same_position(m->pairs.views.view + i, m->parent, at, k);
             m->next[node] = node;
-            m->mask[node] = (uint64_t)1 << (i % 64);
+            m->mask[(size_t)node * (size_t)m->words + (size_t)i / 64] = (uint64_t)1 << (i % 64);
         }
     }
 }
@@ -118,7 +136,7 @@ static int by_edge(const void *x, const void *y)
 
 static err_t layout_edges(struct edge **edge, struct arena *tmp, const struct matcher *m)
 {
-    return arena_alloc(tmp, (size_t)m->pairs.n * (size_t)m->cap + 1, sizeof **edge, edge);
+    return arena_alloc(tmp, (size_t)m->pairs.cap * (size_t)m->cap + 1, sizeof **edge, edge);
 }
 
 static err_t join_all(struct matcher *m)
@@ -302,12 +320,13 @@ static int votes_against(const struct matcher *m, const struct track *t, int k)
         const struct match_observation *b = m->obs + t->at + (i < k ? k : i);
         if (i == k)
             continue;
-        const struct pair *c = m->pairs.pair + pairs_index(m->v->n, a->view, b->view);
+        const struct pair *c = pairs_of(&m->pairs, a->view, b->view);
+        if (!c || !c->known)
+            continue;
         const struct epipolar_match match =
             pair_match(&m->pairs.views, a->view, b->view, (float[4]){a->u, a->v, b->u, b->v});
         const double distance = epipolar_distance(c->f, pair_bend(&m->pairs.views, c), &match);
-        if (c->known)
-            sum += distance > (double)(EXACT * EXACT) ? 1 : -1;
+        sum += distance > (double)(EXACT * EXACT) ? 1 : -1;
     }
     return sum;
 }
@@ -395,7 +414,7 @@ static err_t collect_tracks(struct matcher *m, struct match_tracks *out)
         return e;
     }
     qsort(m->track, (size_t)m->n_tracks, sizeof *m->track, by_length);
-    for (int i = 0; i < m->n_tracks && m->track[i].n >= 2 && out->n_tracks < MATCH_TRACKS_MAX;
+    for (int i = 0; i < m->n_tracks && m->track[i].n >= 2 && out->n_tracks < tracks_cap(m->v->n);
          i++) {
         const struct track *t = m->track + i;
         if (n + t->n > (int)obs_cap(m->v->n, m->v->size) || !adds_coverage(m, t, crowd, count))
@@ -416,6 +435,7 @@ static err_t collect_tracks(struct matcher *m, struct match_tracks *out)
 static err_t layout(struct matcher *m, struct arena *tmp, int threads)
 {
     m->cap = corner_cap(m->v->size);
+    m->words = (m->v->n + 63) / 64;
     const size_t nodes = (size_t)m->v->n * (size_t)m->cap;
     err_t e = pairs_layout(&m->pairs, tmp, m->v, threads);
     if (!e)
@@ -425,7 +445,7 @@ static err_t layout(struct matcher *m, struct arena *tmp, int threads)
     if (!e)
         e = arena_alloc(tmp, nodes, sizeof *m->next, &m->next);
     if (!e)
-        e = arena_alloc(tmp, nodes, sizeof *m->mask, &m->mask);
+        e = arena_zalloc(tmp, nodes * (size_t)m->words, sizeof *m->mask, &m->mask);
     if (!e)
         e = arena_alloc(tmp, nodes / 2 + 1, sizeof *m->track, &m->track);
     return e ? e : arena_alloc(tmp, nodes, sizeof *m->obs, &m->obs);
@@ -451,7 +471,7 @@ void match_plan(struct plan *p, const struct views *v, int n_lenses, struct matc
     if (e)
         plan_refuse(p);
     out->n = (int)obs_cap(v->n, v->size);
-    out->n_tracks = num_min(out->n / 2, MATCH_TRACKS_MAX);
+    out->n_tracks = num_min(out->n / 2, tracks_cap(v->n));
     arena_reset(&p->tmp, mark);
 }
 

@@ -26,9 +26,9 @@ struct match_tracks {
  * focal lengths where there are any. prior: of net_run for these views
  * (core/net/shared_attention.c), or NULL: places outside its attention count as less likely; where
  * its attention is flat it is ignored.
- * out:  lives in r->keep, at most MATCH_TRACKS_MAX tracks of MATCH_SEEN_MAX observations; 0 tracks
- * if
- *       nothing agrees, and for one view or views below 64 px.
+ * out:  lives in r->keep, at most MATCH_TRACKS_MAX tracks of MATCH_SEEN_MAX observations for up to
+ *       PAIR_ALL views (pair.h), in proportion for more; 0 tracks if nothing agrees, and for one
+ *       view or views below 64 px.
  * err:  ERR_NOMEM (see match_plan), ERR_CANCELLED. On error *out is zeroed. */
 enum { MATCH_SEEN_MAX = 1 << 16, MATCH_TRACKS_MAX = 4000 };
 MUST_USE err_t match_run(const struct run *r, const struct views *v,

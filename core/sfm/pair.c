@@ -103,6 +103,16 @@ void pair_prepare(const struct pair_views *m, int i)
         m->token[i * m->cap + k] = token_of(m, i, c->at + k);
 }
 
+void pair_pack(const int8_t *descriptor, int n, int8_t *panels)
+{
+    memset(panels, 0, pitch_of(n) * CORNER_DESCRIPTOR);
+    for (int k = 0; k < n; k++) {
+        int8_t *to = panels + k / PANEL * PANEL * CORNER_DESCRIPTOR + k % PANEL * 4;
+        for (int q = 0; q < CORNER_DESCRIPTOR; q += 4)
+            memcpy(to + q * PANEL, descriptor + (size_t)k * CORNER_DESCRIPTOR + q, 4);
+    }
+}
+
 /* Descriptors of b that are compared: of corner_view. */
 static void choose_warp(const struct pair_views *m, const struct pair *c, int warp,
                         struct pair_workspace *w)
@@ -110,12 +120,7 @@ static void choose_warp(const struct pair_views *m, const struct pair *c, int wa
     const struct corner_view *b = m->view + c->b;
     w->descriptor = b->descriptor[warp];
     w->square_b = b->square[warp];
-    memset(w->panels, 0, w->pitch * CORNER_DESCRIPTOR);
-    for (int k = 0; k < b->n; k++) {
-        int8_t *to = w->panels + k / PANEL * PANEL * CORNER_DESCRIPTOR + k % PANEL * 4;
-        for (int q = 0; q < CORNER_DESCRIPTOR; q += 4)
-            memcpy(to + q * PANEL, w->descriptor + (size_t)k * CORNER_DESCRIPTOR + q, 4);
-    }
+    pair_pack(w->descriptor, b->n, w->panels);
 }
 
 /* ---- search ---- */

@@ -9,6 +9,7 @@
 #include "core/sfm/epipolar.h"
 
 enum {
+    PAIR_ALL = 64,   // views that are compared all with all
     PAIR_LEAST = 12, // matches that one epipolar geometry must explain
     PAIR_SURE = 40   // from which on a need not be turned, nor b stretched
 };
@@ -65,6 +66,9 @@ struct pair_workspace {
 MUST_USE err_t pair_views_init(struct arena *tmp, const struct views *v, struct pair_views *out);
 MUST_USE err_t pair_workspace_init(struct arena *tmp, const struct pair_views *v,
                                    struct pair_workspace *w);
+
+/* n descriptors as panels of gemm_s8: (n in whole panels, CORNER_DESCRIPTOR), the rest is 0. */
+void pair_pack(const int8_t *descriptor, int n, int8_t *panels);
 
 /* After corner_run of view i. */
 void pair_prepare(const struct pair_views *m, int i);

@@ -1,19 +1,30 @@
-/* All pairs are compared upright. Pairs that are sure connect views; the roll between connected
- * views is known from them, so that an unsure pair is compared in turns that are near it only, and
- * not at all where it is upright. Pairs of views that are not connected are compared in all turns.
- * What is still unsure then, of a view with few sure pairs, is compared with stretched views. */
+/* Pairs are compared upright: of many views those that look alike (retrieve.h) or were taken one
+ * after the other, then those that have sure pairs with the same views: where a walk comes back,
+ * one pair that was found shows the others. Each pair writes only its own matches.
+ * Pairs that are sure connect views; the roll between connected views is known from them, so that
+ * an unsure pair is compared in turns that are near it only, and not at all where it is upright.
+ * Pairs of views that are not connected are compared in all turns. What is still unsure then, of a
+ * view with few sure pairs, is compared with stretched views. */
 #include "core/sfm/pairs.h"
 
 #include "core/base/num.h"
+#include "core/sfm/retrieve.h"
 
 #include <math.h>
+#include <string.h>
 
-enum { WELL = 2 }; // sure pairs of a view, from which on others of it are not stretched
+enum {
+    WELL = 2,   // sure pairs of a view, from which on others of it are not stretched
+    ALIKE = 16, // views that look alike, which each of many is compared with
+    AFTER = 3,  // views after it, the same
+    COMMON = 8  // views that have sure pairs with the same ones, the same
+};
 
 struct work {
     const struct run *r;
     const struct views *v;
     struct pairs *s;
+    int first; // pair of chunk 0
 };
 
 /* ---- rolls ---- */
@@ -106,6 +117,74 @@ static err_t tilt_view(void *ctx, int i, int worker)
     return run_check(w->r, "matching");
 }
 
+/* ---- choice ---- */
+
+static void add_pair(struct pairs *s, int a, int b)
+{
+    const int n = s->views.n, low = num_min(a, b), high = num_max(a, b);
+    if (low == high || high >= n || pairs_of(s, a, b) || s->n == s->cap)
+        return;
+    s->index[a * n + b] = s->index[b * n + a] = s->n;
+    s->pair[s->n].a = low;
+    s->pair[s->n++].b = high;
+}
+
+static void add_all(struct pairs *s)
+{
+    for (int a = 0; a < s->views.n; a++)
+        for (int b = a + 1; b < s->views.n; b++)
+            add_pair(s, a, b);
+}
+
+static err_t add_similar(const struct work *w)
+{
+    struct pairs *s = w->s;
+    err_t e = retrieve_run(w->r, &s->views, ALIKE, s->near);
+    for (int a = 0; a < s->views.n && !e; a++) {
+        for (int k = 1; k <= AFTER; k++)
+            add_pair(s, a, a + k);
+        for (int k = 0; k < ALIKE; k++)
+            add_pair(s, a, s->near[a * ALIKE + k]);
+    }
+    return e;
+}
+
+static bool is_sure(const struct pairs *s, int a, int b)
+{
+    const struct pair *c = pairs_of(s, a, b);
+    return c && c->agree >= PAIR_SURE;
+}
+
+/* Views that view a has sure pairs in common with, of those that it was not compared with.
+ * common: (views) */
+static void count_common(const struct pairs *s, int a, int *common)
+{
+    const int n = s->views.n;
+    memset(common, 0, (size_t)n * sizeof *common);
+    for (int b = 0; b < n; b++)
+        for (int c = 0; c < n && is_sure(s, a, b); c++)
+            common[c] += c != a && is_sure(s, b, c) && !pairs_of(s, a, c);
+}
+
+static void add_common(struct pairs *s)
+{
+    const int n = s->views.n;
+    for (int a = 0; a < n; a++) {
+        int *common = s->tree; // (n), not in use yet
+        count_common(s, a, common);
+        for (int k = 0; k < COMMON; k++) {
+            int best = 0;
+            for (int c = 1; c < n; c++)
+                best = common[c] > common[best] ? c : best;
+            s->near[a * ALIKE + k] = common[best] ? best : a;
+            common[best] = 0;
+        }
+    }
+    for (int a = 0; a < n; a++)
+        for (int k = 0; k < COMMON; k++)
+            add_pair(s, a, s->near[a * ALIKE + k]);
+}
+
 /* ---- pairs ---- */
 
 static err_t search_pair(void *ctx, int i, int worker)
@@ -113,8 +192,27 @@ static err_t search_pair(void *ctx, int i, int worker)
     struct work *w = ctx;
     err_t e = run_check(w->r, "matching");
     if (!e)
-        pair_search(&w->s->views, &w->s->rooms[worker].pair, w->s->pair + i);
+        pair_search(&w->s->views, &w->s->rooms[worker].pair, w->s->pair + w->first + i);
     return e;
+}
+
+/* Of many views, twice: pairs that are likely, and those that these suggest. */
+static err_t search_pairs(struct work *w)
+{
+    struct pairs *s = w->s;
+    const bool many = s->views.n > PAIR_ALL;
+    err_t e = OK;
+    if (many)
+        e = add_similar(w);
+    else
+        add_all(s);
+    if (!e)
+        e = pool_for(w->r->pool, s->n, search_pair, w);
+    if (e || !many)
+        return e;
+    w->first = s->n;
+    add_common(s);
+    return pool_for(w->r->pool, s->n - w->first, search_pair, w);
 }
 
 /* The turns in which a pair is compared: bit k, k eighths. */
@@ -254,26 +352,33 @@ static err_t layout_rooms(struct pairs *s, struct arena *tmp, const struct views
 
 err_t pairs_layout(struct pairs *s, struct arena *tmp, const struct views *v, int threads)
 {
-    s->n = v->n * (v->n - 1) / 2;
+    const size_t n = (size_t)v->n;
+    s->n = 0;
+    s->cap = num_min(v->n * (v->n - 1) / 2,
+                     v->n <= PAIR_ALL ? PAIR_ALL * PAIR_ALL : v->n * (ALIKE + AFTER + COMMON));
     err_t e = pair_views_init(tmp, v, &s->views);
     if (!e)
         e = layout_rooms(s, tmp, v, threads);
     if (!e)
-        e = arena_alloc(tmp, (size_t)s->n, sizeof *s->pair, &s->pair);
+        e = arena_alloc(tmp, (size_t)s->cap, sizeof *s->pair, &s->pair);
     if (!e)
-        e = arena_alloc(tmp, (size_t)s->n, sizeof *s->isolated, &s->isolated);
+        e = arena_alloc(tmp, (size_t)s->cap, sizeof *s->isolated, &s->isolated);
     if (!e)
-        e = arena_alloc(tmp, (size_t)v->n, sizeof *s->tree, &s->tree);
+        e = arena_alloc(tmp, n * n, sizeof *s->index, &s->index);
+    if (!e && v->n > PAIR_ALL)
+        e = arena_alloc(tmp, n * ALIKE, sizeof *s->near, &s->near);
     if (!e)
-        e = arena_alloc(tmp, (size_t)v->n, sizeof *s->roll, &s->roll);
-    for (int a = 0, k = 0; a < v->n; a++) {
-        for (int b = a + 1; b < v->n && !e; b++, k++) {
-            struct pair pair = {.a = a, .b = b};
-            e = arena_alloc(tmp, (size_t)s->views.cap, sizeof *pair.link, &pair.link);
-            if (!e && !tmp->counts)
-                s->pair[k] = pair;
-        }
+        e = arena_alloc(tmp, n, sizeof *s->tree, &s->tree);
+    if (!e)
+        e = arena_alloc(tmp, n, sizeof *s->roll, &s->roll);
+    for (int k = 0; k < s->cap && !e; k++) {
+        struct pair pair = {.a = 0};
+        e = arena_alloc(tmp, (size_t)s->views.cap, sizeof *pair.link, &pair.link);
+        if (!e && !tmp->counts)
+            s->pair[k] = pair;
     }
+    if (!e && !tmp->counts)
+        memset(s->index, -1, n * n * sizeof *s->index);
     return e;
 }
 
@@ -281,19 +386,21 @@ void pairs_plan(struct plan *p, const struct pairs *s, int n_lenses)
 {
     const size_t mark = arena_mark(&p->tmp);
     struct matches matches;
-    if (layout_matches(&matches, &p->tmp, s->n, n_lenses))
+    if (s->views.n > PAIR_ALL)
+        retrieve_plan(p, &s->views);
+    if (layout_matches(&matches, &p->tmp, s->cap, n_lenses))
         plan_refuse(p);
-    arena_step(&p->tmp, division_plan(n_lenses, s->n));
+    arena_step(&p->tmp, division_plan(n_lenses, s->cap));
     arena_reset(&p->tmp, mark);
 }
 
 err_t pairs_run(const struct run *r, const struct views *v, struct division_lenses *lenses,
                 struct pairs *s)
 {
-    struct work w = {r, v, s};
+    struct work w = {r, v, s, 0};
     err_t e = pool_for(r->pool, v->n, prepare_view, &w);
     if (!e)
-        e = pool_for(r->pool, s->n, search_pair, &w);
+        e = search_pairs(&w);
     if (e)
         return e;
     find_rolls(s, v->n, PAIR_SURE, true);

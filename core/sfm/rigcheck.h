@@ -6,7 +6,10 @@
 
 #include "core/sfm/match.h"
 
-enum { RIGCHECK_LEAST = 3 }; // cameras: with two one cannot tell which of them moved
+enum {
+    RIGCHECK_LEAST = 3, // cameras: with two one cannot tell which of them moved
+    RIGCHECK_MOST = 64  // of a rig
+};
 
 /* A camera moved if what it sees is more than this share of its longer edge off: half a pixel of
  * 448, 0.07 degrees for a field of view of 60. */

@@ -25,7 +25,8 @@ enum {
     BLOCK = 256,
     CENTRE_ROUNDS = 8,
     POWER_STEPS = 20,
-    PRODUCTS_MOST = 200000 // pairs of observations that centres are taken from
+    PRODUCTS_MOST = 200000, // pairs of observations that centres are taken from, or so many a view:
+    PRODUCTS_VIEW = 3125
 };
 static const double DEGREE = NUM_PI / 180, PLANE_MOST = 20;
 
@@ -49,8 +50,8 @@ struct pairs_job {
     const struct run *r;
     const struct adjust *a;
     struct viewgraph *g;
-    struct observation_ref *list;       // observations by view, then track
-    int first[VIEWGRAPH_VIEWS_MAX + 1]; // of each view in list
+    struct observation_ref *list; // observations by view, then track
+    int *first, *fill;            // (n_views + 1) of each view in list; its next one
 };
 
 /* x/z and y/z of an observation's ray, not farther out than PLANE_MOST, and its expected error
@@ -117,28 +118,31 @@ static err_t pair_chunk(void *ctx, int chunk, int worker)
     return run_check(job->r, "relative poses");
 }
 
-static err_t layout_list(struct pairs_job *j, struct arena *tmp, int n_obs)
+static err_t layout_list(struct pairs_job *j, struct arena *tmp, int n_views, int n_obs)
 {
-    return arena_alloc(tmp, (size_t)n_obs, sizeof *j->list, &j->list);
+    const size_t n = (size_t)n_views + 1;
+    err_t e = arena_alloc(tmp, (size_t)n_obs, sizeof *j->list, &j->list);
+    if (!e)
+        e = arena_zalloc(tmp, n, sizeof *j->first, &j->first);
+    return e ? e : arena_zalloc(tmp, n, sizeof *j->fill, &j->fill);
 }
 
 err_t viewgraph_pairs(const struct run *r, const struct adjust *a, struct viewgraph *g)
 {
     struct pairs_job job = {.r = r, .a = a, .g = g};
     const size_t mark = arena_mark(r->tmp);
-    int fill[VIEWGRAPH_VIEWS_MAX];
     g->n_views = a->n_views;
-    err_t e = layout_list(&job, r->tmp, a->first[a->n_tracks]);
+    err_t e = layout_list(&job, r->tmp, a->n_views, a->first[a->n_tracks]);
     if (!e) {
         for (int i = 0; i < a->first[a->n_tracks]; i++)
             job.first[a->obs[i].view + 1]++;
         for (int v = 0; v < a->n_views; v++) {
-            fill[v] = job.first[v];
+            job.fill[v] = job.first[v];
             job.first[v + 1] += job.first[v];
         }
         for (int t = 0; t < a->n_tracks; t++)
             for (int i = a->first[t]; i < a->first[t + 1]; i++)
-                job.list[fill[a->obs[i].view]++] = (struct observation_ref){t, i};
+                job.list[job.fill[a->obs[i].view]++] = (struct observation_ref){t, i};
         e = pool_for(r->pool, viewgraph_edges(a->n_views), pair_chunk, &job);
     }
     arena_reset(r->tmp, mark);
@@ -193,13 +197,50 @@ static double edge_trust(const struct viewgraph *g, int i, int j)
     return e->pose.inliers * (good + 0.5) / (good + bad + 0.5);
 }
 
+/* Dense systems over the views. */
+struct averaging {
+    double *weight, *h, *x; // (n, n) trust of edges; (n, n) Laplacian; (3, n) right-hand sides
+    int *part, *size;       // (n) number of the part that a view is connected with; its views
+};
+
+static err_t layout_averaging(struct averaging *m, struct arena *tmp, int n_views)
+{
+    const size_t n = (size_t)n_views;
+    err_t e = arena_alloc(tmp, n * n, sizeof *m->weight, &m->weight);
+    if (!e)
+        e = arena_alloc(tmp, n * n, sizeof *m->h, &m->h);
+    if (!e)
+        e = arena_alloc(tmp, 3 * n, sizeof *m->x, &m->x);
+    if (!e)
+        e = arena_alloc(tmp, n, sizeof *m->part, &m->part);
+    return e ? e : arena_zalloc(tmp, n, sizeof *m->size, &m->size);
+}
+
+/* The first view of the largest part that edges of some trust connect; its size. */
+static int find_largest(const struct averaging *m, int n, int *most)
+{
+    int root = 0;
+    for (int v = 0; v < n; v++)
+        m->part[v] = v;
+    for (int i = 0; i < n * n; i++) {
+        const int from = m->part[i / n], to = m->part[i % n];
+        for (int v = 0; v < n && m->weight[i] > 0 && from != to; v++)
+            m->part[v] = m->part[v] == from ? to : m->part[v];
+    }
+    for (int v = 0; v < n; v++)
+        m->size[m->part[v]]++;
+    for (int v = 0; v < n; v++)
+        root = m->size[m->part[v]] > m->size[m->part[root]] ? v : root;
+    *most = m->size[m->part[root]];
+    return root;
+}
+
 /* Set the rotations of the views that can be reached from the root, along the most trusted edges.
- * returns: their number. */
-static int spread_rotations(const struct viewgraph *g, const double *weight, int root,
-                            struct adjust *a)
+ */
+static void spread_rotations(const struct viewgraph *g, const double *weight, int root,
+                             struct adjust *a)
 {
     const int n = g->n_views;
-    int count = 1;
     for (int v = 0; v < n; v++) {
         a->placed[v] = v == root;
         memset(pose_of(a, v), 0, ADJUST_POSE * sizeof *a->pose);
@@ -216,11 +257,10 @@ static int spread_rotations(const struct viewgraph *g, const double *weight, int
                 to = i % n;
             }
         if (to < 0)
-            return count;
+            return;
         relative_rotation(g, from, to, r);
         lin_product(r, pose_of(a, from), pose_of(a, to));
         a->placed[to] = true;
-        count++;
     }
 }
 
@@ -242,15 +282,17 @@ static double edge_error(const struct viewgraph *g, const struct adjust *a, int 
 }
 
 /* One weighted round: Laplacian of the graph, three right-hand sides. */
-static void average_rotations(const struct viewgraph *g, const double *weight, bool l1,
+static void average_rotations(const struct viewgraph *g, const struct averaging *m, bool l1,
                               struct adjust *a)
 {
-    double h[VIEWGRAPH_VIEWS_MAX * VIEWGRAPH_VIEWS_MAX] = {0}, x[3][VIEWGRAPH_VIEWS_MAX] = {{0}};
     const int n = g->n_views;
     const double width = 1 * DEGREE;
+    double *h = m->h, *x[3] = {m->x, m->x + n, m->x + 2 * n};
+    memset(h, 0, (size_t)n * (size_t)n * sizeof *h);
+    memset(m->x, 0, 3 * (size_t)n * sizeof *m->x);
     for (int j = 0; j < n; j++)
         for (int i = 0; i < j; i++) {
-            double e[3], w = weight[i * n + j];
+            double e[3], w = m->weight[i * n + j];
             if (!(w > 0) || !a->placed[i] || !a->placed[j])
                 continue;
             double size = edge_error(g, a, i, j, e);
@@ -279,37 +321,88 @@ static void average_rotations(const struct viewgraph *g, const double *weight, b
     }
 }
 
-int viewgraph_rotations(struct viewgraph *g, struct adjust *a)
+/* Take `ok` from edges that contradict the rotations; views with such edges only are not placed.
+ * returns: their number. */
+static int remove_wrong(struct viewgraph *g, struct adjust *a)
 {
-    double weight[VIEWGRAPH_VIEWS_MAX * VIEWGRAPH_VIEWS_MAX], e[3];
     const int n = g->n_views;
-    int most = 0, root = 0;
-    for (int i = 0; i < n * n; i++)
-        weight[i] = edge_trust(g, i / n, i % n);
-    for (int v = 0; v < n; v++) {
-        int count = spread_rotations(g, weight, v, a);
-        if (count > most) {
-            most = count;
-            root = v;
-        }
-    }
-    spread_rotations(g, weight, root, a);
-    for (int k = 0; k < ROUNDS_L1 + ROUNDS_GM; k++)
-        average_rotations(g, weight, k < ROUNDS_L1, a);
+    int lost = 0;
+    double e[3];
     for (int j = 0; j < n; j++)
         for (int i = 0; i < j; i++)
             if (a->placed[i] && a->placed[j] && edge_error(g, a, i, j, e) > 4 * DEGREE)
                 edge_of(g, i, j)->ok = false;
-    for (int i = 0; i < n; i++) { // views with wrong edges only
+    for (int i = 0; i < n; i++) {
         bool any = false;
         for (int j = 0; j < n; j++)
             any |= a->placed[j] && is_linked(g, i, j);
         if (a->placed[i] && !any) {
             a->placed[i] = false;
-            most--;
+            lost++;
         }
     }
-    return most > 1 ? most : 0;
+    return lost;
+}
+
+err_t viewgraph_rotations(const struct run *r, struct viewgraph *g, struct adjust *a, int *n_placed)
+{
+    const size_t mark = arena_mark(r->tmp);
+    const int n = g->n_views;
+    struct averaging m;
+    int most;
+    *n_placed = 0;
+    err_t e = layout_averaging(&m, r->tmp, n);
+    if (e)
+        return e;
+    for (int i = 0; i < n * n; i++)
+        m.weight[i] = edge_trust(g, i / n, i % n);
+    spread_rotations(g, m.weight, find_largest(&m, n, &most), a);
+    for (int k = 0; k < ROUNDS_L1 + ROUNDS_GM && !e; k++) {
+        average_rotations(g, &m, k < ROUNDS_L1, a);
+        e = run_check(r, "rotations of cameras");
+    }
+    most -= remove_wrong(g, a);
+    *n_placed = most > 1 ? most : 0;
+    arena_reset(r->tmp, mark);
+    return e;
+}
+
+/* ---- core ---- */
+
+/* What the edges of view v say of distances to the views that are chosen, or to all that are
+ * placed. */
+static int64_t sum_parallax(const struct viewgraph *g, const struct adjust *a, const bool *chosen,
+                            int v)
+{
+    int64_t sum = 0;
+    for (int u = 0; u < g->n_views; u++) {
+        if (!is_linked(g, u, v) || !(chosen ? chosen[u] : a->placed[u]))
+            continue;
+        const struct viewgraph_edge *e = u < v ? edge_of(g, u, v) : edge_of(g, v, u);
+        sum += e->pose.parallax ? e->pose.inliers : 0;
+    }
+    return sum;
+}
+
+void viewgraph_core(const struct viewgraph *g, int most, struct adjust *a)
+{
+    bool chosen[VIEWGRAPH_VIEWS_MAX] = {false};
+    for (int n = 0; n < most; n++) {
+        int64_t best = 0;
+        int next = -1;
+        for (int v = 0; v < g->n_views; v++) {
+            const int64_t sum =
+                a->placed[v] && !chosen[v] ? sum_parallax(g, a, n ? chosen : NULL, v) : 0;
+            if (sum > best) {
+                best = sum;
+                next = v;
+            }
+        }
+        if (next < 0)
+            break;
+        chosen[next] = true;
+    }
+    memcpy(a->placed, chosen, (size_t)g->n_views * sizeof *chosen);
 }
 
 /* ---- votes ---- */
@@ -327,45 +420,56 @@ static bool is_consistent(const struct viewgraph *g, const struct adjust *a, int
     return twoview_distance(&e->pose, &m) < 4.0 * TWOVIEW_GATE * TWOVIEW_GATE;
 }
 
+/* Other observations of a track that are in and can be compared with one, and those that agree. */
+struct votes {
+    int known, good;
+};
+
+/* Add (by 1) or take away (by -1) what observation j and those before `end` that are in say of each
+ * other. vote: of the track. */
+static void count_votes(const struct viewgraph *g, const struct adjust *a, const int at[3], int by,
+                        struct votes *vote)
+{
+    const int from = at[0], j = at[1], end = at[2];
+    for (int i = from; i < end; i++) {
+        if (i == j || !a->in[i] || !is_linked(g, a->obs[i].view, a->obs[j].view))
+            continue;
+        const int good = by * is_consistent(g, a, num_min(i, j), num_max(i, j));
+        vote[i - from].known += by;
+        vote[j - from].known += by;
+        vote[i - from].good += good;
+        vote[j - from].good += good;
+    }
+}
+
 /* Remove the observation that agrees with the smallest share of the others, until all agree with 60
- * %.
- */
+ * %. */
 static void vote_track(const struct viewgraph *g, struct adjust *a, int track)
 {
     const int from = a->first[track], n = a->first[track + 1] - from;
-    uint64_t good[VIEWGRAPH_VIEWS_MAX] = {0}, known[VIEWGRAPH_VIEWS_MAX] = {0}, left = 0;
-    for (int j = 0; j < n; j++) {
-        a->in[from + j] = false;
-        left |= a->placed[a->obs[from + j].view] ? (uint64_t)1 << j : 0;
-        for (int i = 0; i < j; i++) {
-            if (!is_linked(g, a->obs[from + i].view, a->obs[from + j].view))
-                continue;
-            uint64_t yes = is_consistent(g, a, from + i, from + j);
-            known[i] |= (uint64_t)1 << j;
-            known[j] |= (uint64_t)1 << i;
-            good[i] |= yes << j;
-            good[j] |= yes << i;
-        }
+    struct votes vote[VIEWGRAPH_VIEWS_MAX] = {{0}};
+    for (int j = from; j < from + n; j++) {
+        a->in[j] = a->placed[a->obs[j].view];
+        if (a->in[j])
+            count_votes(g, a, (const int[3]){from, j, j}, 1, vote);
     }
     for (;;) {
         int worst = -1;
         double least = 0.6;
         for (int i = 0; i < n; i++) {
-            if (!(left >> i & 1))
+            if (!a->in[from + i])
                 continue;
-            int total = __builtin_popcountll(known[i] & left);
-            double share = total ? __builtin_popcountll(good[i] & left) / (double)total : 0;
+            double share = vote[i].known ? vote[i].good / (double)vote[i].known : 0;
             if (share < least) {
                 least = share;
-                worst = i;
+                worst = from + i;
             }
         }
         if (worst < 0)
             break;
-        left &= ~((uint64_t)1 << worst);
+        a->in[worst] = false;
+        count_votes(g, a, (const int[3]){from, worst, from + n}, -1, vote);
     }
-    for (int i = 0; i < n; i++)
-        a->in[from + i] = left >> i & 1;
 }
 
 static err_t vote_block(void *ctx, int chunk, int worker)
@@ -600,8 +704,12 @@ size_t viewgraph_plan(int n_views, int n_obs)
 {
     struct arena tmp = arena_counter();
     struct pairs_job pairs;
+    struct averaging rotations;
     struct centres c;
-    if (layout_list(&pairs, &tmp, n_obs))
+    if (layout_list(&pairs, &tmp, n_views, n_obs))
+        return SIZE_MAX;
+    arena_reset(&tmp, 0);
+    if (layout_averaging(&rotations, &tmp, n_views))
         return SIZE_MAX;
     arena_reset(&tmp, 0);
     return layout_centres(&c, &tmp, n_views, n_obs) ? SIZE_MAX : tmp.peak;
@@ -619,7 +727,7 @@ err_t viewgraph_centres(const struct run *r, const struct viewgraph *g, struct a
     for (int t = 0; t < a->n_tracks; t++)
         products +=
             (size_t)(a->first[t + 1] - a->first[t]) * (size_t)(a->first[t + 1] - a->first[t]);
-    c.stride = 1 + (int)(products / PRODUCTS_MOST);
+    c.stride = 1 + (int)(products / (size_t)num_max(PRODUCTS_MOST, PRODUCTS_VIEW * a->n_views));
     err_t e = layout_centres(&c, r->tmp, a->n_views, a->first[a->n_tracks]);
     if (!e)
         *found = solve_centres(&c);

@@ -7,7 +7,7 @@
 #include "core/sfm/adjust.h"
 #include "core/sfm/twoview.h"
 
-enum { VIEWGRAPH_VIEWS_MAX = 64 };
+enum { VIEWGRAPH_VIEWS_MAX = 512 };
 
 struct viewgraph_edge {
     struct twoview pose; // of view b as seen from a, a < b
@@ -31,13 +31,20 @@ static inline int viewgraph_edges(int n_views)
 MUST_USE err_t viewgraph_pairs(const struct run *r, const struct adjust *a, struct viewgraph *g);
 
 /* Rotations of the largest connected set of views; the others are not placed, all centres are 0.
- * Edges that contradict the others lose `ok`. returns: number of views that are placed, 0 if no
- * pair is known. */
-int viewgraph_rotations(struct viewgraph *g, struct adjust *a);
+ * Edges that contradict the others lose `ok`.
+ * out:  *n_placed, number of views that are placed, 0 if no pair is known
+ * err:  ERR_NOMEM, ERR_CANCELLED. */
+MUST_USE err_t viewgraph_rotations(const struct run *r, struct viewgraph *g, struct adjust *a,
+                                   int *n_placed);
 
 /* in <- observations that agree with most of the other observations of their track.
  * err:  ERR_CANCELLED. */
 MUST_USE err_t viewgraph_vote(const struct run *r, const struct viewgraph *g, struct adjust *a);
+
+/* Of the placed views only those stay that see the most in common, with parallax: up to `most`. The
+ * equations for centres have solutions in which a group of views that shares only far points with
+ * the others moves as it likes; these views are no such groups. */
+void viewgraph_core(const struct viewgraph *g, int most, struct adjust *a);
 
 /* Centres of the placed views from their rotations and the observations that are in; all 0 if no
  * pair has parallax or the equations have no solution.

@@ -92,7 +92,7 @@ struct job_result {
     int n_light;                             // 0: not looked at
     struct job_light light[SHADE_FIT_CAMERAS];
     int n_rig; // 0: not checked
-    struct job_rig_camera rig[BUNDLE_VIEWS_MAX];
+    struct job_rig_camera rig[RIGCHECK_MOST];
     int n_lenses;
     char lenses[JOB_LENSES][160]; // how photographs were undistorted, a sentence for each lens
     int n_warnings;

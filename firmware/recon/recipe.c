@@ -82,7 +82,7 @@ struct recipe recipe_choose(const struct capture *c, const struct job_config *cf
                          .square = !stereo || cfg->square,
                          .places = prep_places(c),
                          .refinement = cfg->refine};
-    out.check = known && out.places >= RIGCHECK_LEAST && out.places <= BUNDLE_VIEWS_MAX;
+    out.check = known && out.places >= RIGCHECK_LEAST && out.places <= RIGCHECK_MOST;
     for (int i = 0; i < c->n; i++)
         out.check = out.check && c->shots[i].calibrated;
     out.bundle = out.network ? cfg->polish && !tapped && (!known || gaussians) : !known;

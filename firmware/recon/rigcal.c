@@ -42,11 +42,11 @@ struct rigcal {
     int cap; // of all.obs
     struct part part[RIGCAL_TAKES];
     struct bundle_result found; // arrays below
-    struct lens lens[BUNDLE_VIEWS_MAX];
-    struct selfcal_lens selfcal[BUNDLE_VIEWS_MAX];
-    struct camera cams[BUNDLE_VIEWS_MAX];
-    bool placed[BUNDLE_VIEWS_MAX];
-    struct extent extent[BUNDLE_VIEWS_MAX];
+    struct lens lens[RIGCHECK_MOST];
+    struct selfcal_lens selfcal[RIGCHECK_MOST];
+    struct camera cams[RIGCHECK_MOST];
+    bool placed[RIGCHECK_MOST];
+    struct extent extent[RIGCHECK_MOST];
 };
 
 /* ---- a take ---- */
@@ -348,7 +348,7 @@ static bool use_lenses(struct rigcal *c, const struct rigboard *b)
 /* What the takes show besides the board, adjusted together with it. */
 static err_t add_points(struct rigcal *c, struct rigboard *b)
 {
-    struct rigsight_view view[BUNDLE_VIEWS_MAX];
+    struct rigsight_view view[RIGCHECK_MOST];
     struct boardcal in = rigboard_problem(c->job, b);
     struct rigsight s = {0};
     const size_t keep = arena_mark(c->r->keep), tmp = arena_mark(c->r->tmp);
@@ -451,9 +451,9 @@ static err_t check_takes(const struct rigcal_job *job)
 {
     const struct capture *first = job->take[0].capture;
     const int n = prep_places(first);
-    if (n < 2 || n > BUNDLE_VIEWS_MAX)
+    if (n < 2 || n > RIGCHECK_MOST)
         return err_fail(ERR_ARG, "%s: %d cameras, a rig of 2 to %d can be calibrated",
-                        job->take[0].name, n, BUNDLE_VIEWS_MAX);
+                        job->take[0].name, n, RIGCHECK_MOST);
     for (int i = 1; i < job->n; i++) {
         const struct capture *c = job->take[i].capture;
         int a = -1, b = -1;

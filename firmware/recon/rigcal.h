@@ -5,7 +5,7 @@
 
 #include "firmware/recon/rigcal_job.h"
 
-/* Check that all takes are of the same cameras, 2 to BUNDLE_VIEWS_MAX, and say how much memory the
+/* Check that all takes are of the same cameras, 2 to RIGCHECK_MOST, and say how much memory the
  * calibration takes. Captures need only names and sizes.
  * err:  ERR_ARG. */
 MUST_USE err_t rigcal_plan(const struct rigcal_job *job, int threads, struct job_memory *out);

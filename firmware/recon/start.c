@@ -23,8 +23,11 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { RESAMPLINGS = 2 }; // times that views are sampled again
-#define LENS_MOVED 0.25   // px of the view, less is not worth it
+enum {
+    RESAMPLINGS = 2, // times that views are sampled again
+    LEFT_NAMED = 32  // views left out that are named
+};
+#define LENS_MOVED 0.25 // px of the view, less is not worth it
 
 static void announce_stage(const struct run *r, const char *stage)
 {
@@ -135,6 +138,35 @@ static void report_bundle(struct start *s)
                         why_not_located(&s->out->views, b, text));
 }
 
+/* Say which views are left out, and why; of very many only how many. */
+static void warn_of_unplaced(struct start *s)
+{
+    const struct views *v = &s->out->views;
+    const struct bundle_result *b = &s->bundle;
+    struct job_result *out = s->out;
+    int first = 0;
+    while (b->placed[first])
+        first++;
+    if (v->n - b->n_placed > LEFT_NAMED)
+        job_result_warn(
+            out,
+            "%d of %d views are left out, %.64s is the first: too little in common with "
+            "the others; a scene is one place, take others apart from it",
+            v->n - b->n_placed, v->n, v->names[first]);
+    for (int i = 0; i < v->n && v->n - b->n_placed <= LEFT_NAMED; i++) {
+        const char *blank = b->placed[i] ? NULL : figures_blank(v, i);
+        if (blank)
+            job_result_warn(out, "%s is left out: it is %s all over; take it at a %s exposure",
+                            v->names[i], blank, *blank == 'b' ? "longer" : "shorter");
+        else if (!b->placed[i])
+            job_result_warn(
+                out,
+                "%s is left out: too little in common with the other views; take it nearer to "
+                "one of them",
+                v->names[i]);
+    }
+}
+
 /* A view that shares too few points with the others would only spoil the scene. */
 static err_t drop_unplaced_views(struct start *s)
 {
@@ -152,20 +184,11 @@ static err_t drop_unplaced_views(struct start *s)
         return e;
     for (int i = 0; i < v->n + v->n_more; i++)
         keep[i] = i >= v->n || b->placed[i];
-    for (int i = 0; i < v->n; i++) {
-        const char *blank = keep[i] ? NULL : figures_blank(v, i);
+    for (int i = 0; i < v->n; i++)
         if (keep[i])
             out->scene.cams[n++] = out->scene.cams[i];
-        else if (blank)
-            job_result_warn(out, "%s is left out: it is %s all over; take it at a %s exposure",
-                            v->names[i], blank, *blank == 'b' ? "longer" : "shorter");
-        else
-            job_result_warn(
-                out,
-                "%s is left out: too little in common with the other views; take it nearer to "
-                "one of them",
-                v->names[i]);
-    }
+    if (n < v->n)
+        warn_of_unplaced(s);
     if (2 * n < v->n)
         job_result_warn(
             out,

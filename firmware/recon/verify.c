@@ -51,7 +51,7 @@ void verify_plan(struct plan *p, const struct views *v)
 {
     const size_t mark = arena_mark(&p->tmp), keep = arena_mark(&p->keep);
     struct match_tracks tracks;
-    struct extent extent[BUNDLE_VIEWS_MAX];
+    struct extent extent[RIGCHECK_MOST];
     struct views half = *v;
     exposure_stack_merge_plan(p, v);
     if (is_halved(v)) {
@@ -106,9 +106,9 @@ static err_t treat_moved(enum recipe_moved what, struct job_result *out)
 err_t verify_run(const struct run *r, enum recipe_moved what, struct job_result *out)
 {
     const size_t mark = arena_mark(r->tmp), keep = arena_mark(r->keep);
-    struct rigcheck_camera found[BUNDLE_VIEWS_MAX];
-    struct camera cams[BUNDLE_VIEWS_MAX];
-    struct extent half[BUNDLE_VIEWS_MAX];
+    struct rigcheck_camera found[RIGCHECK_MOST];
+    struct camera cams[RIGCHECK_MOST];
+    struct extent half[RIGCHECK_MOST];
     struct match_tracks tracks;
     struct tonemap tone;
     struct views v;

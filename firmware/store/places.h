@@ -9,10 +9,8 @@
 
 #include "firmware/store/store.h"
 
-#include "core/sfm/viewgraph.h"
-
-/* MIN: views that a scene needs. MAX: views whose cameras can be found. */
-enum { PLACES_MIN = 2, PLACES_MAX = VIEWGRAPH_VIEWS_MAX };
+/* MIN: views that a scene needs. MAX: folders that a command takes. */
+enum { PLACES_MIN = 2, PLACES_MAX = 64 };
 
 struct places {
     char id[STORE_ID_CAP]; // id of the session; "": there is none

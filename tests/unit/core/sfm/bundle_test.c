@@ -352,6 +352,63 @@ static void view_that_fits_nowhere(void **unused)
     job_free(&j);
 }
 
+/* More views than centres are found of at once: once around a room, each sees what its neighbours
+ * see. */
+static void many_views(void **unused)
+{
+    (void)unused;
+    struct job j = {.rig = make_room(2500, 381, 0.2, 25)}, again;
+    scene_arc(&j.rig, 72, 355);
+    scene_make(&j.rig, &j.tracks);
+    run_ok(&j, &(struct bundle_config){0});
+    assert_right(&j, 0.1, 0.01, 0.02);
+    again = j;
+    again.keep = again.tmp = (struct arena){0};
+    assert_int_equal(run_on(&again, &(struct bundle_config){0}, 1), OK);
+    assert_memory_equal(again.out.cams, j.out.cams, 72 * sizeof *j.out.cams);
+    arena_free(&again.keep);
+    arena_free(&again.tmp);
+    job_free(&j);
+}
+
+/* Move the observations of one side, views below 40 or the others, of a track to `to`, if there are
+ * two or more. returns: the first observation of the next track. */
+static int split_track(const struct match_tracks *t, int from, bool side, struct match_tracks *to)
+{
+    const int before = to->n;
+    int end = from;
+    for (; end < t->n && t->obs[end].track == t->obs[from].track; end++) {
+        if ((t->obs[end].view >= 40) != side)
+            continue;
+        to->obs[to->n] = t->obs[end];
+        to->obs[to->n++].track = to->n_tracks;
+    }
+    to->n = to->n - before < 2 ? before : to->n;
+    to->n_tracks += to->n > before;
+    return end;
+}
+
+/* Views of two places that have no point in common: the cameras of the larger one are found. */
+static void two_places(void **unused)
+{
+    (void)unused;
+    struct job j = {.rig = make_room(2500, 381, 0.2, 25)};
+    scene_arc(&j.rig, 72, 355);
+    scene_make(&j.rig, &j.tracks);
+    struct match_tracks whole = j.tracks.t,
+                        split = {.obs = calloc((size_t)whole.n, sizeof *whole.obs)};
+    for (int side = 0; side < 2; side++)
+        for (int i = 0; i < whole.n;)
+            i = split_track(&whole, i, side, &split);
+    free(whole.obs);
+    j.tracks.t = split;
+    run_ok(&j, &(struct bundle_config){0});
+    assert_int_equal(j.out.n_placed, 40);
+    for (int v = 0; v < 72; v++)
+        assert_int_equal(j.out.placed[v], v < 40);
+    job_free(&j);
+}
+
 /* Observations of view 3 are kept in `right` tracks, and in `wrong` ones that see it where the
  * camera at `degrees` around would be; in the others it is not seen. */
 static void mislead_view(struct job *j, int right, int wrong, const double degrees[2])
@@ -650,8 +707,9 @@ static void wrong_requests(void **unused)
     struct run r = {.keep = &j.keep, .tmp = &j.tmp};
     struct plan plan = plan_begin(1);
     bundle_plan(&plan, 4, 1, &j.tracks.t);
-    const struct views four = views_of(4), nobody = views_of(0),
-                       crowd = views_of(BUNDLE_VIEWS_MAX + 1);
+    struct views crowd = views_of(4);
+    const struct views four = crowd, nobody = views_of(0);
+    crowd.n = BUNDLE_VIEWS_MAX + 1;
     struct views empty = four;
     empty.size = 0;
     assert_int_equal(bundle_run(&r, &nobody, &j.tracks.t, &none, &j.out), ERR_ARG);
@@ -673,16 +731,28 @@ static void wrong_requests(void **unused)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(slopes_are_differences),  cmocka_unit_test(far_points_have_no_end),
-        cmocka_unit_test(narrow_grid_from_tracks), cmocka_unit_test(wide_arc_from_tracks),
-        cmocka_unit_test(start_that_is_off),       cmocka_unit_test(start_without_pairs),
-        cmocka_unit_test(world_of_the_start),      cmocka_unit_test(what_is_known_stays),
-        cmocka_unit_test(threads_change_nothing),  cmocka_unit_test(view_that_fits_nowhere),
-        cmocka_unit_test(view_in_two_places),      cmocka_unit_test(view_that_hangs_on_one),
-        cmocka_unit_test(squeezed_views),          cmocka_unit_test(no_tracks),
-        cmocka_unit_test(views_in_one_place),      cmocka_unit_test(two_and_three_views),
-        cmocka_unit_test(centres_in_a_row),        cmocka_unit_test(a_wall),
-        cmocka_unit_test(every_match_wrong),       cmocka_unit_test(start_that_is_no_number),
+        cmocka_unit_test(slopes_are_differences),
+        cmocka_unit_test(far_points_have_no_end),
+        cmocka_unit_test(narrow_grid_from_tracks),
+        cmocka_unit_test(wide_arc_from_tracks),
+        cmocka_unit_test(start_that_is_off),
+        cmocka_unit_test(start_without_pairs),
+        cmocka_unit_test(world_of_the_start),
+        cmocka_unit_test(what_is_known_stays),
+        cmocka_unit_test(threads_change_nothing),
+        cmocka_unit_test(view_that_fits_nowhere),
+        cmocka_unit_test(view_in_two_places),
+        cmocka_unit_test(view_that_hangs_on_one),
+        cmocka_unit_test(squeezed_views),
+        cmocka_unit_test(no_tracks),
+        cmocka_unit_test(views_in_one_place),
+        cmocka_unit_test(two_and_three_views),
+        cmocka_unit_test(centres_in_a_row),
+        cmocka_unit_test(a_wall),
+        cmocka_unit_test(every_match_wrong),
+        cmocka_unit_test(start_that_is_no_number),
+        cmocka_unit_test(many_views),
+        cmocka_unit_test(two_places),
         cmocka_unit_test(wrong_requests),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);

@@ -1,0 +1,57 @@
+#!/usr/bin/env bash
+# More photographs than are compared all with all: a walk through a park whose cameras nobody knows,
+# and the extremes of such sets.
+. tests/e2e/common.bash
+
+walk=(simulate --kind park --walk --samples 1 --lens size=256x192 --exposures 1)
+locate=(reconstruct --rig none --refine 0 --size 256)
+
+# bad requests
+expect 2 '--walk: only in --kind park' simulate --kind yard --walk --out "$OUT/no"
+expect 2 '--views: 257 is not in 2..256' simulate --kind park --walk --views 257 --out "$OUT/no"
+nothing_at "$OUT/no"
+
+# all are placed; none is held out
+succeed "${walk[@]}" --seed 3 --views 80 --out "$OUT/park"
+[ "$(ls "$OUT/park/images" | wc -l)" -eq 80 ] || fail "a walk holds views out"
+succeed "${locate[@]}" --images "$OUT/park" --out "$OUT/scene"
+at_least "views that are placed" "$(number "$OUT/scene/report.json" cameras views_placed)" 79
+at_least "their confidence" "$(number "$OUT/scene/report.json" cameras confidence)" 0.5
+
+# every tenth is of another place, one is black: they are left out, and named
+mkdir "$OUT/mixed"
+succeed "${walk[@]}" --seed 8 --views 8 --out "$OUT/other"
+cp "$OUT"/park/images/*.png "$OUT/mixed"
+for i in 0 1 2 3 4 5 6 7; do
+    cp "$OUT/other/images/train_ldr_00${i}_0.png" "$OUT/mixed/train_ldr_0${i}5_0.png"
+done
+"$BIN/make_flat" "$OUT/mixed/train_ldr_037_0.png" 256 0 || exit 1
+cp "$OUT/park/exposure.json" "$OUT/mixed"
+succeed "${locate[@]}" --images "$OUT/mixed" --out "$OUT/most"
+at_least "views that are placed" "$(number "$OUT/most/report.json" cameras views_placed)" 70
+[ "$(number "$OUT/most/report.json" cameras views_placed)" -le 71 ] ||
+    fail "views of another place are placed"
+grep -q 'train_ldr_037_0.png is left out: it is black all over' "$OUT/most/report.json" ||
+    fail "nothing is said of a black photograph"
+
+# the same photograph many times
+mkdir "$OUT/copies" "$OUT/crowd"
+for i in $(seq 70); do
+    cp "$OUT/park/images/train_ldr_000_0.png" "$OUT/copies/$i.png"
+done
+printf '{%s"1.png": 1}\n' "$(for i in $(seq 2 70); do printf '"%d.png": 1, ' "$i"; done)" \
+    >"$OUT/copies/exposure.json"
+"$HDRIG" "${locate[@]}" --images "$OUT/copies" --out "$OUT/none" >"$OUT/stdout.txt" 2>"$ERR"
+[ $? -le 1 ] || grep -q 'copies' "$ERR" || fail "copies: $(tail -n 1 "$ERR")"
+
+# more than can be found
+for i in $(seq 513); do
+    ln "$OUT/copies/1.png" "$OUT/crowd/$i.png"
+done
+printf '{%s"1.png": 1}\n' "$(for i in $(seq 2 513); do printf '"%d.png": 1, ' "$i"; done)" \
+    >"$OUT/crowd/exposure.json"
+expect 2 '513 views, cameras can be found for at most 512' "${locate[@]}" --images "$OUT/crowd" \
+    --out "$OUT/no"
+expect 3 'needs [0-9]+ MB' "${locate[@]}" --images "$OUT/park" --max-memory 100 --out "$OUT/no"
+nothing_at "$OUT/no"
+finish
