@@ -82,6 +82,8 @@ static void tap_exposures(const struct fusion *f)
 {
     int n = f->v->n;
     float *rel = f->mean; // not yet in use; n_views of it
+    if (!tap_on(f->r))
+        return;
     for (int i = 0; i < n; i++)
         rel[i] = f->v->log2t[i] - f->v->mid_log2t;
     tap_put(f->r,
