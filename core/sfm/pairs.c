@@ -8,6 +8,7 @@
 #include "core/sfm/pairs.h"
 
 #include "core/base/num.h"
+#include "core/base/share.h"
 #include "core/sfm/retrieve.h"
 
 #include <math.h>
@@ -187,6 +188,40 @@ static void add_common(struct pairs *s)
 
 /* ---- pairs ---- */
 
+/* Pairs [first, n) were searched, each by the rank that it is dealt to: complete on all. */
+static err_t gather_pairs(const struct work *w, int first)
+{
+    struct pairs *s = w->s;
+    struct team *t = w->r->team;
+    size_t at[TEAM_MAX + 1], links[TEAM_MAX + 1];
+    const int n = s->n - first;
+    char *base = (char *)s->pair[0].link;
+    const size_t pitch = s->cap > 1 ? (size_t)((char *)s->pair[1].link - base) : 0;
+    if (!t || n == 0)
+        return OK;
+    for (int i = 0; i <= t->size; i++) {
+        const size_t k = (size_t)(first + team_first(t, n, i));
+        at[i] = k * sizeof *s->pair;
+        links[i] = k * pitch;
+    }
+    err_t e = team_begin(t, s->pair, at);
+    if (!e)
+        e = team_wait(t);
+    for (int k = first; k < s->n; k++) // an address is a rank's own
+        s->pair[k].link = (struct pair_link *)(void *)(base + (size_t)k * pitch);
+    if (!e)
+        e = team_begin(t, base, links);
+    return e ? e : team_wait(t);
+}
+
+/* fn for pairs [first, n). */
+static err_t share_pairs(struct work *w, int first, pool_fn *fn)
+{
+    w->first = first;
+    err_t e = share_for(w->r, w->s->n - first, fn, w);
+    return e ? e : gather_pairs(w, first);
+}
+
 static err_t search_pair(void *ctx, int i, int worker)
 {
     struct work *w = ctx;
@@ -207,12 +242,12 @@ static err_t search_pairs(struct work *w)
     else
         add_all(s);
     if (!e)
-        e = pool_for(w->r->pool, s->n, search_pair, w);
+        e = share_pairs(w, 0, search_pair);
     if (e || !many)
         return e;
-    w->first = s->n;
+    const int likely = s->n;
     add_common(s);
-    return pool_for(w->r->pool, s->n - w->first, search_pair, w);
+    return share_pairs(w, likely, search_pair);
 }
 
 /* The turns in which a pair is compared: bit k, k eighths. */
@@ -260,12 +295,15 @@ static void choose_isolated(struct pairs *s)
             s->isolated[s->n_isolated++] = i;
 }
 
+/* Pair i, if it is isolated. */
 static err_t tilt_pair(void *ctx, int i, int worker)
 {
     struct work *w = ctx;
+    const struct pairs *s = w->s;
     err_t e = run_check(w->r, "matching");
-    if (!e)
-        pair_tilt(&w->s->views, &w->s->rooms[worker].pair, w->s->pair + w->s->isolated[i]);
+    for (int k = 0; k < s->n_isolated && s->isolated[k] <= i && !e; k++)
+        if (s->isolated[k] == i)
+            pair_tilt(&s->views, &s->rooms[worker].pair, s->pair + i);
     return e;
 }
 
@@ -404,17 +442,17 @@ err_t pairs_run(const struct run *r, const struct views *v, struct division_lens
     if (e)
         return e;
     find_rolls(s, v->n, PAIR_SURE, true);
-    e = pool_for(r->pool, s->n, turn_pair, &w);
+    e = share_pairs(&w, 0, turn_pair);
     if (e)
         return e;
     choose_isolated(s);
     e = pool_for(r->pool, v->n, tilt_view, &w);
     if (!e)
-        e = pool_for(r->pool, s->n_isolated, tilt_pair, &w);
+        e = share_pairs(&w, 0, tilt_pair);
     if (!e && lenses)
         e = find_bends(&w, lenses);
     if (!e)
-        e = pool_for(r->pool, s->n, complete_pair, &w);
+        e = share_pairs(&w, 0, complete_pair);
     find_rolls(s, v->n, 0, false);
     return e;
 }
