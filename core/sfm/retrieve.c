@@ -24,6 +24,7 @@ struct room {
     int32_t *product; // (ROWS, WORDS)
     int32_t *sum;     // (WORDS, CORNER_DESCRIPTOR)
     int *word;        // (cap)
+    float *alike;     // (views) of the most similar ones
 };
 
 struct retrieve {
@@ -40,12 +41,14 @@ struct retrieve {
     struct room *rooms; // (workers)
 };
 
-static err_t layout_room(struct room *w, struct arena *tmp, int cap)
+static err_t layout_room(struct room *w, struct arena *tmp, const struct pair_views *m)
 {
     err_t e = arena_alloc(tmp, ROWS * WORDS, sizeof *w->product, &w->product);
     if (!e)
         e = arena_alloc(tmp, GLOBAL, sizeof *w->sum, &w->sum);
-    return e ? e : arena_alloc(tmp, (size_t)cap, sizeof *w->word, &w->word);
+    if (!e)
+        e = arena_alloc(tmp, (size_t)m->cap, sizeof *w->word, &w->word);
+    return e ? e : arena_alloc(tmp, (size_t)m->n, sizeof *w->alike, &w->alike);
 }
 
 static err_t layout(struct retrieve *s, struct arena *tmp, int threads)
@@ -65,7 +68,7 @@ static err_t layout(struct retrieve *s, struct arena *tmp, int threads)
         e = arena_alloc(tmp, (size_t)threads, sizeof *s->rooms, &s->rooms);
     for (int i = 0; i < threads && !e; i++) {
         struct room w;
-        e = layout_room(&w, tmp, s->m->cap);
+        e = layout_room(&w, tmp, s->m);
         if (!e && !tmp->counts)
             s->rooms[i] = w;
     }
@@ -221,7 +224,7 @@ static err_t compare_view(void *ctx, int i, int worker)
 {
     struct retrieve *s = ctx;
     int *near = s->near + (size_t)i * (size_t)s->most, n = 0;
-    float *alike = (float *)s->rooms[worker].sum; // (most)
+    float *alike = s->rooms[worker].alike;
     for (int j = 0; j < s->m->n; j++) {
         if (j == i)
             continue;
