@@ -4,6 +4,7 @@
 
 #include "core/base/cpu.h"
 #include "core/kernels/kernels.h"
+#include "tests/unit/core/base/team_local.h"
 #include "tests/unit/squares.h"
 
 #include <math.h>
@@ -441,6 +442,45 @@ static void test_threads(void **state)
     free(first);
 }
 
+/* Some cameras are rolled: pairs are turned, and stretched. */
+static void make_rolled_fan(struct world *w)
+{
+    make_fan(w, 0.1, 2, 2000);
+    roll_camera(w, 1, 1.6);
+    roll_camera(w, 3, 0.8);
+    for (int i = 0; i < 4; i++)
+        photograph(w, i, 2000);
+}
+
+static err_t find_on_rank(void *ctx, struct team *team)
+{
+    const struct match_tracks *alone = ctx;
+    struct world w;
+    open_world(&w, 4, 1);
+    make_rolled_fan(&w);
+    w.run.team = team;
+    struct match_tracks t = find(&w, NULL);
+    const bool same =
+        t.n == alone->n && memcmp(t.obs, alone->obs, (size_t)t.n * sizeof *t.obs) == 0;
+    close_world(&w);
+    return same ? OK : err_fail(ERR_ARG, "rank %d has other tracks", team_rank(team));
+}
+
+static void test_ranks(void **state)
+{
+    const int uneven[8] = {8, 2, 8, 1, 8, 8, 8, 8}; // of 6 pairs some ranks have none
+    struct world w;
+    (void)state;
+    open_world(&w, 4, 2);
+    make_rolled_fan(&w);
+    struct match_tracks t = find(&w, NULL);
+    assert_true(t.n > 0);
+    for (int size = 2; size <= 8; size += 3)
+        if (team_local_run(size, uneven, find_on_rank, &t, NULL))
+            fail_msg("%s", err_text());
+    close_world(&w);
+}
+
 /* Every patch's true place in the other views, `off` columns aside, with that share. */
 static struct correspondence make_prior(const struct world *w, int off, float share)
 {
@@ -573,7 +613,7 @@ static void draw_strip(void)
             }
 }
 
-static void match_strip(int threads, struct arena *keep, struct match_tracks *t)
+static void match_strip(struct team *team, int threads, struct arena *keep, struct match_tracks *t)
 {
     struct views v = {.n = STRIP, .size = EDGE, .extent = squares(STRIP, EDGE)};
     struct arena tmp;
@@ -587,11 +627,23 @@ static void match_strip(int threads, struct arena *keep, struct match_tracks *t)
     assert_int_equal(arena_init(&tmp, "tmp", plan.tmp.peak), OK);
     if (threads > 1)
         assert_int_equal(pool_open(&pool, threads), OK);
-    const struct run r = {.k = &k, .pool = pool, .keep = keep, .tmp = &tmp};
+    const struct run r = {.k = &k, .pool = pool, .keep = keep, .tmp = &tmp, .team = team};
     assert_int_equal(match_run(&r, &v, NULL, NULL, t), OK);
     assert_int_equal(tmp.used, 0);
     pool_close(pool);
     arena_free(&tmp);
+}
+
+static err_t match_on_rank(void *ctx, struct team *team)
+{
+    const struct match_tracks *alone = ctx;
+    struct arena keep;
+    struct match_tracks t;
+    match_strip(team, 1, &keep, &t);
+    const bool same =
+        t.n == alone->n && memcmp(t.obs, alone->obs, (size_t)t.n * sizeof *t.obs) == 0;
+    arena_free(&keep);
+    return same ? OK : err_fail(ERR_ARG, "rank %d has other tracks", team_rank(team));
 }
 
 /* Too many views to compare all: those that follow each other have common points, and so do those
@@ -604,9 +656,11 @@ static void test_long_walk(void **state)
     (void)state;
     draw_strip();
     for (int i = 0; i < 2; i++)
-        match_strip(1 + 2 * i, keep + i, t + i);
+        match_strip(NULL, 1 + 2 * i, keep + i, t + i);
     assert_int_equal(t[0].n, t[1].n);
     assert_memory_equal(t[0].obs, t[1].obs, (size_t)t[0].n * sizeof *t[0].obs);
+    if (team_local_run(3, NULL, match_on_rank, t, NULL))
+        fail_msg("%s", err_text());
     for (int i = 0; i < t->n; i++) {
         const struct match_observation *s = t->obs + i, *before = s - 1;
         seen[s->view]++;
@@ -627,13 +681,21 @@ static void test_long_walk(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_one_exposure),   cmocka_unit_test(test_mixed_exposures),
-        cmocka_unit_test(test_far_exposures),  cmocka_unit_test(test_wide_turns_and_noise),
-        cmocka_unit_test(test_scale),          cmocka_unit_test(test_far_apart),
-        cmocka_unit_test(test_roll),           cmocka_unit_test(test_shift),
-        cmocka_unit_test(test_nothing_to_see), cmocka_unit_test(test_threads),
-        cmocka_unit_test(test_prior),          cmocka_unit_test(test_too_little_memory),
-        cmocka_unit_test(test_many_views),     cmocka_unit_test(test_long_walk),
+        cmocka_unit_test(test_one_exposure),
+        cmocka_unit_test(test_mixed_exposures),
+        cmocka_unit_test(test_far_exposures),
+        cmocka_unit_test(test_wide_turns_and_noise),
+        cmocka_unit_test(test_scale),
+        cmocka_unit_test(test_far_apart),
+        cmocka_unit_test(test_roll),
+        cmocka_unit_test(test_shift),
+        cmocka_unit_test(test_nothing_to_see),
+        cmocka_unit_test(test_threads),
+        cmocka_unit_test(test_ranks),
+        cmocka_unit_test(test_prior),
+        cmocka_unit_test(test_too_little_memory),
+        cmocka_unit_test(test_many_views),
+        cmocka_unit_test(test_long_walk),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
