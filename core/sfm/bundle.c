@@ -350,11 +350,10 @@ static err_t grow_views(struct bundle *b)
     return e ? e : run_rounds(b, closed, 2); // its ends may lie apart
 }
 
-static err_t from_tracks(struct bundle *b)
+static err_t from_tracks(struct bundle *b, bool grows)
 {
     static const struct round first[] = {{30, 10, 10}, {20, 6, 10}};
     struct adjust *a = &b->a;
-    const bool many = b->n_views > PAIR_ALL;
     bool found = false;
     int n_placed;
     reset_bundle(b);
@@ -366,14 +365,14 @@ static err_t from_tracks(struct bundle *b)
     e = viewgraph_vote(b->r, &b->g, a);
     for (int i = 0; i < b->tracks->n && !e; i++)
         b->trusted[i] = a->in[i] || !a->placed[a->obs[i].view];
-    if (many)
+    if (grows)
         viewgraph_core(&b->g, CORE, a);
-    for (int i = 0; i < b->tracks->n && many; i++)
+    for (int i = 0; i < b->tracks->n && grows; i++)
         a->in[i] = a->in[i] && a->placed[a->obs[i].view];
     if (!e)
         e = viewgraph_centres(b->r, &b->g, a, &found);
     if (!e)
-        e = many ? grow_views(b) : run_rounds(b, first, 2);
+        e = grows ? grow_views(b) : run_rounds(b, first, 2);
     if (!e)
         e = run_last_rounds(b);
     if (!e)
@@ -532,14 +531,26 @@ void bundle_plan(struct plan *p, int n_views, int n_lenses, const struct match_t
 
 /* Relative poses for a wrong focal length are wrong, and adjustment then converges slowly. So it
  * starts again where a focal length comes out different. */
+static int count_placed(const struct bundle *b)
+{
+    int n = 0;
+    for (int v = 0; v < b->n_views; v++)
+        n += b->best.placed[v];
+    return n;
+}
+
+/* All centres at once, as long as that places most views; along walks it does not. */
 static err_t from_focals(struct bundle *b)
 {
+    const bool many = b->n_views > PAIR_ALL;
     err_t e = OK;
     for (int k = 0; k < 3 && !e; k++) {
         double most = 0;
         for (int i = 0; i < b->a.n_lenses; i++)
             b->a.lens[i].prior_focal = log(b->start[i].fx);
-        e = from_tracks(b);
+        e = many ? OK : from_tracks(b, false);
+        if (!e && (many || (b->n_views > CORE && 4 * count_placed(b) < 3 * b->n_views)))
+            e = from_tracks(b, true);
         for (int i = 0; i < b->a.n_lenses; i++) {
             const struct lens *l = &b->a.lens[i].lens;
             most = fmax(most, fabs(log(l->fx / b->start[i].fx)));
