@@ -224,7 +224,7 @@ err_t raster_team_sum(const struct run *r, struct raster *rs, int n, raster_team
                          .n = n,
                          .chunks = (n + CHUNK - 1) / CHUNK,
                          .count = rs->key[1],
-                         .sums = (uint16_t *)rs->slots,
+                         .sums = (void *)rs->slots,
                          .room = rs->cap_pairs * SLOT * sizeof *rs->slots};
     err_t e = pool_for(r->pool, x.chunks, count_chunk, &x);
     for (int first = 0; first < x.chunks && !e;) {
