@@ -303,15 +303,10 @@ static err_t sum_ranks(const struct job *j, double *total)
 {
     struct team *t = j->l->team;
     double *all = j->l->totals;
-    size_t at[TEAM_MAX + 1] = {0};
     if (!t)
         return OK;
-    for (int k = 0; k < t->size; k++)
-        at[k + 1] = at[k] + P_ALL * sizeof *all;
     memcpy(all + t->rank * P_ALL, total, P_ALL * sizeof *all);
-    err_t e = team_begin(t, all, at);
-    if (!e)
-        e = team_wait(t);
+    err_t e = team_collect(t, all, P_ALL * sizeof *all);
     memset(total, 0, P_ALL * sizeof *total);
     for (int k = 0; k < t->size && !e; k++)
         for (int i = 0; i < P_ALL; i++)

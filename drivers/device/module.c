@@ -4,24 +4,21 @@
 
 #include <dlfcn.h>
 #include <stdio.h>
-#include <unistd.h>
+#include <string.h>
 
 static err_t find_module(const struct module *m, char path[FILE_PATH_CAP])
 {
-    static const char *const folders[] = {"", "../lib/hdrig/"};
-    char self[FILE_PATH_CAP];
-    ssize_t n = readlink("/proc/self/exe", self, sizeof self - 1);
-    while (n > 0 && self[n - 1] != '/')
-        n--;
-    self[n > 0 ? n : 0] = '\0';
-    for (int i = 0; i < 2; i++) {
-        int len = snprintf(path, FILE_PATH_CAP, "%s%s%s", self, folders[i], m->file);
-        if (len < FILE_PATH_CAP && file_is_regular(path))
-            return OK;
+    char installed[FILE_PATH_CAP], name[FILE_PATH_CAP];
+    snprintf(name, sizeof name, "../lib/hdrig/%s", m->file);
+    if (file_of_program(m->file, path))
+        return OK;
+    if (file_of_program(name, installed)) {
+        memcpy(path, installed, FILE_PATH_CAP);
+        return OK;
     }
     return err_fail(ERR_UNSUPPORTED,
-                    "%s: there is no %s in %s or %s%s; it is built where the package %s is",
-                    m->what, m->file, self, self, folders[1], m->package);
+                    "%s: there is no %s, nor %s; it is built where the package %s is", m->what,
+                    path, installed, m->package);
 }
 
 err_t module_load(const struct module *m, const char *path, const void **out)

@@ -113,6 +113,18 @@ err_t file_parent(const char *path, char out[FILE_PATH_CAP])
     return OK;
 }
 
+bool file_of_program(const char *name, char path[FILE_PATH_CAP])
+{
+    char self[FILE_PATH_CAP];
+    ssize_t n = readlink("/proc/self/exe", self, sizeof self - 1);
+    while (n > 0 && self[n - 1] != '/')
+        n--;
+    self[n > 0 ? n : 0] = 0;
+    if (snprintf(path, FILE_PATH_CAP, "%s%s", self, name) >= FILE_PATH_CAP)
+        path[0] = 0;
+    return path[0] && file_is_regular(path);
+}
+
 err_t file_companion(const char *dir, const char *name, bool *found, char path[FILE_PATH_CAP])
 {
     char up[FILE_PATH_CAP];

@@ -42,6 +42,10 @@ bool file_is_special(const char *path);
  * err:  ERR_ARG if that is longer than FILE_PATH_CAP - 1. */
 MUST_USE err_t file_join(const char *dir, const char *name, char out[FILE_PATH_CAP]);
 
+/* A regular file by its path from the folder that this program lies in: "../share/x".
+ * out: path, also if there is none; "" if that is too long. */
+bool file_of_program(const char *name, char path[FILE_PATH_CAP]);
+
 /* Path of a companion beside the files of `dir` or one folder up; *found is false if it is in
  * neither.
  * err:  ERR_ARG as file_join. */

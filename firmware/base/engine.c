@@ -2,6 +2,7 @@
 
 #include "core/base/cpu.h"
 #include "drivers/device/clocks.h"
+#include "drivers/format/file.h"
 
 #include <stdlib.h>
 #include <string.h>
@@ -57,6 +58,20 @@ double engine_peak_rss_mb(void)
     struct rusage u;
     return getrusage(RUSAGE_SELF, &u) == 0 ? (double)u.ru_maxrss * 1024e-6
                                            : 0.0; // Linux counts in KiB
+}
+
+err_t engine_program(char hash[SHA256_HEX_CAP])
+{
+    struct file_map m;
+    struct sha256 sum;
+    err_t e = file_map("/proc/self/exe", SIZE_MAX, &m);
+    if (e)
+        return e;
+    sha256_init(&sum);
+    sha256_add(&sum, m.p, m.n);
+    sha256_hex(&sum, hash);
+    file_unmap(&m);
+    return OK;
 }
 
 double engine_seconds(void)

@@ -5,6 +5,7 @@
 
 #include "firmware/base/progress.h"
 
+#include "core/base/sha256.h"
 #include "core/base/types.h"
 #include "core/kernels/kernels.h"
 
@@ -36,6 +37,10 @@ void engine_close(struct engine *en);
 
 /* Most memory that this process held so far, MB (10^6 bytes). */
 double engine_peak_rss_mb(void);
+
+/* SHA-256 of this program's file: another build may compute other numbers.
+ * err:  ERR_IO. */
+MUST_USE err_t engine_program(char hash[SHA256_HEX_CAP]);
 
 /* Monotonic clock, seconds. */
 double engine_seconds(void);

@@ -3,8 +3,6 @@
 #include "core/base/cpu.h"
 #include "core/base/log.h"
 #include "core/base/num.h"
-#include "core/base/sha256.h"
-#include "drivers/format/file.h"
 
 #include <math.h>
 #include <sched.h>
@@ -17,7 +15,7 @@ struct sameness {
     char program[SHA256_HEX_CAP], instructions[CPU_NAMES_CAP];
 };
 
-enum { SPEED_TRIES = 5, SPEED_CHUNKS = 64, PROGRAM_MOST = 1 << 30 };
+enum { SPEED_TRIES = 5, SPEED_CHUNKS = 64 };
 enum { SPEED_FLOATS = 4096, SPEED_ROUNDS = 40 };
 
 /* ---- threads ---- */
@@ -42,18 +40,9 @@ static int choose_threads(const struct ranks *r)
 
 static err_t describe_program(const struct engine *en, struct sameness *out)
 {
-    struct file_map exe;
-    struct sha256 hash;
     memset(out, 0, sizeof *out);
-    err_t e = file_map("/proc/self/exe", PROGRAM_MOST, &exe);
-    if (e)
-        return e;
-    sha256_init(&hash);
-    sha256_add(&hash, exe.p, exe.n);
-    sha256_hex(&hash, out->program);
-    file_unmap(&exe);
     cpu_names(en->cpu, out->instructions);
-    return OK;
+    return engine_program(out->program);
 }
 
 static err_t compare_programs(struct ranks *r, const struct engine *en)

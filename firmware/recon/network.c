@@ -7,7 +7,6 @@
 #include "core/sfm/pose.h"
 
 #include <string.h>
-#include <unistd.h>
 
 err_t network_open(const char *path, const char *precision, unsigned floats, struct network *out)
 {
@@ -130,17 +129,8 @@ double network_busy(const struct network_clock *c, const char *const *names)
 
 bool network_shipped(char path[FILE_PATH_CAP])
 {
-    static const char *const paths[] = {"../share/hdrig/small.hdrig", "../small.hdrig"};
-    char self[FILE_PATH_CAP];
-    const ssize_t n = readlink("/proc/self/exe", self, sizeof self - 1);
-    if (n <= 0)
-        return false;
-    self[n] = 0;
-    *strrchr(self, '/') = 0;
-    for (int i = 0; i < 2; i++)
-        if (file_join(self, paths[i], path) == OK && file_is_regular(path))
-            return true;
-    return false;
+    return file_of_program("../share/hdrig/small.hdrig", path) ||
+           file_of_program("../small.hdrig", path);
 }
 
 /* ---- cameras alone ---- */

@@ -36,16 +36,6 @@ static const char *hash_of(const void *p, size_t n, char out[SHA256_HEX_CAP])
     return sha256_hex(&s, out);
 }
 
-static err_t hash_program(char out[SHA256_HEX_CAP])
-{
-    struct file_map m;
-    err_t e = file_map("/proc/self/exe", SIZE_MAX, &m);
-    if (!e)
-        hash_of(m.p, m.n, out);
-    file_unmap(&m);
-    return e;
-}
-
 static bool is_checkpoint(const struct file_map *m)
 {
     return m->n >= HEAD + HEX && memcmp(m->p, magic, MAGIC) == 0;
@@ -145,7 +135,7 @@ err_t resume_open(struct outdir *out, double every_s, bool go_on, struct resume 
     if (!e)
         e = partial_path(&out->partial, s->path, s->at);
     if (!e)
-        e = hash_program(s->program);
+        e = engine_program(s->program);
     if (!e && go_on && !file_exists(s->path))
         log_info("%s: no checkpoint, the job starts from the beginning", s->path);
     else if (!e && go_on)

@@ -636,7 +636,7 @@ static void test_module(void **state)
     assert_non_null(st);
     struct camera_cfg cfg = {.uri = "libcamera:"};
     assert_int_equal(camera_libcamera.open(st, &cfg), ERR_UNSUPPORTED); // none beside this test
-    assert_non_null(strstr(err_text(), "there is no hdrig-libcamera.so in /"));
+    assert_non_null(strstr(err_text(), "there is no /"));
     assert_non_null(strstr(err_text(), "libcamera-dev"));
     cfg.uri = "libcamera:,module=/nowhere/x.so";
     assert_int_equal(camera_libcamera.open(st, &cfg), ERR_UNSUPPORTED);
