@@ -231,6 +231,10 @@ static err_t find_lost(struct session *s)
 static err_t begin_plan(struct session *s, enum phase phase, int64_t now)
 {
     struct bracket_event ev = {.kind = BRACKET_BEGIN, .now_ns = now, .plan = s->plan};
+    for (int i = 0; i < s->n; i++)
+        if (!s->cam[i].open) // lost between two plans
+            return session_machine_name(
+                &s->cam[i], err_fail(ERR_LOST, "%s", bracket_sentence(BRACKET_DEVICE_LOST)));
     s->phase = phase;
     for (int i = 0; i < s->n; i++)
         schedule_steady(&s->order, &s->cam[i].about, &s->plan[i]);

@@ -150,15 +150,23 @@ for words in lost:'train_ldr_003_2.png is black all over and shows nothing' \
     grep -q "${words#*:}" "$OUT/${words%%:*}_scene/report.json" || fail "not told: $words"
 done
 
-mkdir "$OUT/many"
-for ((i = 0; i < 65; i++)); do
-    cp "$OUT/blank/1.png" "$OUT/many/$i.png"
-    echo "$([ $i = 0 ] && echo '{' || echo ,) \"$i.png\": 1" >>"$OUT/many/exposure.json"
-done
+crowd() { # folder format-of-names count: copies of one photograph, added to its exposure.json
+    local i name
+    mkdir -p "$OUT/$1/images"
+    for ((i = 0; i < $3; i++)); do
+        printf -v name "$2" $i
+        ln "$OUT/blank/1.png" "$OUT/$1/images/$name"
+        echo "$([ -s "$OUT/$1/exposure.json" ] && echo , || echo '{') \"$name\": 1" \
+            >>"$OUT/$1/exposure.json"
+    done
+}
+crowd many %d.png 513
 echo '}' >>"$OUT/many/exposure.json"
-refused 1 '65 views, cameras can be found for at most 64' --images "$OUT/many" --size 448
-make_set halves 56 33 32
-expect 1 '33 input and 32 test views, cameras can be found for at most 64 together' \
+refused 1 '513 views, cameras can be found for at most 512' --images "$OUT/many/images" --size 448
+crowd halves train_ldr_%03d_0.png 257
+crowd halves test_ldr_%03d_0.png 256
+echo '}' >>"$OUT/halves/exposure.json"
+expect 1 '257 input and 256 test views, cameras can be found for at most 512 together' \
     eval --data "$OUT/halves" --rig none --size 70 --out "$OUT/result"
 nothing_at "$OUT/result"
 refused 1 "$OUT/nowhere" --images "$OUT/good" --rig "$OUT/nowhere"
