@@ -355,7 +355,7 @@ static err_t from_tracks(struct bundle *b, bool grows)
     static const struct round first[] = {{30, 10, 10}, {20, 6, 10}};
     struct adjust *a = &b->a;
     bool found = false;
-    int n_placed;
+    int n_placed = 0;
     reset_bundle(b);
     err_t e = viewgraph_pairs(b->r, a, &b->g);
     if (!e)

@@ -205,7 +205,7 @@ static err_t open_team(const atomic_bool *cancel, int *rank, int *size)
 /* Bytes from at[0] on; MPI counts in int. */
 static bool set_counts(const size_t *at, int n[TEAM_MAX], int first[TEAM_MAX])
 {
-    if (at[team.size] > INT_MAX)
+    if (!at || at[team.size] > INT_MAX)
         return false;
     for (int i = 0; i < team.size; i++) {
         first[i] = (int)at[i];

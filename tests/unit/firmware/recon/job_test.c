@@ -12,7 +12,7 @@
 
 #include <cmocka.h>
 
-static struct shot shots[300];
+static struct shot shots[600];
 
 static struct capture capture(int n, int side)
 {
@@ -56,16 +56,16 @@ static void what_cameras_cannot_be_found_for(void **state)
     (void)state;
     struct job_memory m;
     struct job_config cfg = config(70, 1000);
-    struct capture c = capture(300, 100);
+    struct capture c = capture(600, 100);
     assert_int_equal(job_plan(&c, &cfg, 1, false, NULL, &m), OK);
-    for (int i = 0; i < 300; i++)
+    for (int i = 0; i < 600; i++)
         shots[i].has_camera = false;
     assert_int_equal(job_plan(&c, &cfg, 1, false, NULL, &m), ERR_ARG);
-    assert_non_null(strstr(err_text(), "300 views, cameras can be found for at most 64"));
+    assert_non_null(strstr(err_text(), "600 views, cameras can be found for at most 512"));
     assert_non_null(strstr(err_text(), "--rig"));
-    c.n = 65;
+    c.n = 513;
     assert_int_equal(job_plan(&c, &cfg, 1, false, NULL, &m), ERR_ARG);
-    c.n = 64;
+    c.n = 512;
     assert_int_equal(job_plan(&c, &cfg, 1, false, NULL, &m), OK);
     cfg.size = 56;
     assert_int_equal(job_plan(&c, &cfg, 1, false, NULL, &m), ERR_ARG);
