@@ -539,7 +539,7 @@ static int count_placed(const struct bundle *b)
     return n;
 }
 
-/* All centres at once, as long as that places most views; along walks it does not. */
+/* All centres at once, as long as that places all views; along walks it does not. */
 static err_t from_focals(struct bundle *b)
 {
     const bool many = b->n_views > PAIR_ALL;
@@ -549,7 +549,7 @@ static err_t from_focals(struct bundle *b)
         for (int i = 0; i < b->a.n_lenses; i++)
             b->a.lens[i].prior_focal = log(b->start[i].fx);
         e = many ? OK : from_tracks(b, false);
-        if (!e && (many || (b->n_views > CORE && 4 * count_placed(b) < 3 * b->n_views)))
+        if (!e && (many || (b->n_views > CORE && count_placed(b) < b->n_views)))
             e = from_tracks(b, true);
         for (int i = 0; i < b->a.n_lenses; i++) {
             const struct lens *l = &b->a.lens[i].lens;
