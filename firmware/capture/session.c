@@ -143,14 +143,12 @@ static err_t take_frame(struct session *s, int i, struct frame *f, int64_t now)
     return e;
 }
 
-/* Takes at most as many frames as the camera has buffers, so that no camera delays the others; and
- * one while nothing runs, so that frames that are too many do not delay the rest of the program. */
+/* Takes at most as many frames as the camera has buffers, so that no camera delays the others. */
 static err_t drain_camera(struct session *s, int i)
 {
     struct cam *c = &s->cam[i];
     err_t e = OK;
-    const int most = s->phase == PHASE_NONE ? 1 : c->about.info.buffers;
-    for (int n = most; n > 0 && c->open && !e; n--) {
+    for (int n = c->about.info.buffers; n > 0 && c->open && !e; n--) {
         if (s->phase == PHASE_WAIT && session_start_due(s, i))
             return OK;
         struct frame f;

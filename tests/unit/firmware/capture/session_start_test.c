@@ -204,18 +204,6 @@ static void aligned_with_wobble(void **state)
     assert_true(worst_of(12, 2, 140, "shift=yes,wobble=200") <= 400e3);
 }
 
-/* While nothing runs a turn takes one frame of each camera: others need the loop as well. */
-static void one_frame_a_turn(void **state)
-{
-    (void)state;
-    open_rig(2, "delay=2");
-    for (int i = 0; i < 20; i++) {
-        int64_t before = session_machine_now(s);
-        assert_int_equal(rig_turn(s), OK);
-        assert_true(session_machine_now(s) - before < (int64_t)(1.5 * PERIOD_NS));
-    }
-}
-
 static void begin_in_an_hour(void)
 {
     struct session_order o = {.mode = SESSION_LIST, .n = 1, .middle_s = 0.004};
@@ -300,7 +288,6 @@ static void meters_and_takes_turns(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test_setup_teardown(one_frame_a_turn, set_up, tear_down),
         cmocka_unit_test_setup_teardown(follows_at_once, set_up, tear_down),
         cmocka_unit_test_setup_teardown(asks_for_time, set_up, tear_down),
         cmocka_unit_test_setup_teardown(within_half_a_frame, set_up, tear_down),
