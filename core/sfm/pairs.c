@@ -195,20 +195,20 @@ static err_t gather_pairs(const struct work *w, int first)
     struct team *t = w->r->team;
     size_t at[TEAM_MAX + 1], links[TEAM_MAX + 1];
     const int n = s->n - first;
-    char *base = (char *)s->pair[0].link;
-    const size_t pitch = s->cap > 1 ? (size_t)((char *)s->pair[1].link - base) : 0;
+    struct pair_link *base = s->pair[0].link;
+    const size_t pitch = (size_t)s->views.cap;
     if (!t || n == 0)
         return OK;
     for (int i = 0; i <= t->size; i++) {
         const size_t k = (size_t)(first + team_first(t, n, i));
         at[i] = k * sizeof *s->pair;
-        links[i] = k * pitch;
+        links[i] = k * pitch * sizeof *base;
     }
     err_t e = team_begin(t, s->pair, at);
     if (!e)
         e = team_wait(t);
     for (int k = first; k < s->n; k++) // an address is a rank's own
-        s->pair[k].link = (struct pair_link *)(void *)(base + (size_t)k * pitch);
+        s->pair[k].link = base + (size_t)k * pitch;
     if (!e)
         e = team_begin(t, base, links);
     return e ? e : team_wait(t);
@@ -390,6 +390,7 @@ static err_t layout_rooms(struct pairs *s, struct arena *tmp, const struct views
 
 err_t pairs_layout(struct pairs *s, struct arena *tmp, const struct views *v, int threads)
 {
+    struct pair_link *links;
     const size_t n = (size_t)v->n;
     s->n = 0;
     s->cap = num_min(v->n * (v->n - 1) / 2,
@@ -409,12 +410,10 @@ err_t pairs_layout(struct pairs *s, struct arena *tmp, const struct views *v, in
         e = arena_alloc(tmp, n, sizeof *s->tree, &s->tree);
     if (!e)
         e = arena_alloc(tmp, n, sizeof *s->roll, &s->roll);
-    for (int k = 0; k < s->cap && !e; k++) {
-        struct pair pair = {.a = 0};
-        e = arena_alloc(tmp, (size_t)s->views.cap, sizeof *pair.link, &pair.link);
-        if (!e && !tmp->counts)
-            s->pair[k] = pair;
-    }
+    if (!e) // in one piece: ranks exchange them
+        e = arena_alloc(tmp, (size_t)s->cap * (size_t)s->views.cap, sizeof *links, &links);
+    for (int k = 0; k < s->cap && !e && !tmp->counts; k++)
+        s->pair[k] = (struct pair){.link = links + (size_t)k * (size_t)s->views.cap};
     if (!e && !tmp->counts)
         memset(s->index, -1, n * n * sizeof *s->index);
     return e;
