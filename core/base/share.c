@@ -14,9 +14,8 @@ static err_t run_chunk(void *ctx, int chunk, int worker)
 
 err_t share_for(const struct run *r, int n_chunks, pool_fn *fn, void *ctx)
 {
-    const int rank = team_rank(r->team), first = team_first(r->team, n_chunks, rank);
-    struct part part = {fn, ctx, first};
-    return pool_for(r->pool, team_first(r->team, n_chunks, rank + 1) - first, run_chunk, &part);
+    struct part part = {fn, ctx, team_first(r->team, n_chunks, team_rank(r->team))};
+    return pool_for(r->pool, team_own(r->team, n_chunks), run_chunk, &part);
 }
 
 err_t share_gather(const struct run *r, void *data, size_t elem, const struct extent *px, int n)
@@ -28,6 +27,5 @@ err_t share_gather(const struct run *r, void *data, size_t elem, const struct ex
         const int view = team_first(r->team, n, i);
         at[i] = elem * (view < n ? px[view].at : extent_total(px, n));
     }
-    err_t e = team_begin(r->team, data, at);
-    return e ? e : team_wait(r->team);
+    return team_spread(r->team, data, at);
 }

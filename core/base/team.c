@@ -29,6 +29,12 @@ err_t team_wait(struct team *t)
     return t ? t->ops->wait(t->ctx) : OK;
 }
 
+err_t team_spread(struct team *t, void *data, const size_t *at)
+{
+    err_t e = team_begin(t, data, at);
+    return e ? e : team_wait(t);
+}
+
 err_t team_gather(struct team *t, void *data, size_t item, int n)
 {
     size_t at[TEAM_MAX + 1];
@@ -36,8 +42,7 @@ err_t team_gather(struct team *t, void *data, size_t item, int n)
         return OK;
     for (int i = 0; i <= t->size; i++)
         at[i] = item * (size_t)team_first(t, n, i);
-    err_t e = team_begin(t, data, at);
-    return e ? e : team_wait(t);
+    return team_spread(t, data, at);
 }
 
 err_t team_collect(struct team *t, void *data, size_t item)
@@ -47,8 +52,7 @@ err_t team_collect(struct team *t, void *data, size_t item)
         return OK;
     for (int i = 0; i <= t->size; i++)
         at[i] = item * (size_t)i;
-    err_t e = team_begin(t, data, at);
-    return e ? e : team_wait(t);
+    return team_spread(t, data, at);
 }
 
 err_t team_copy(struct team *t, void *data, size_t bytes)
@@ -58,8 +62,7 @@ err_t team_copy(struct team *t, void *data, size_t bytes)
         return OK;
     for (int i = 0; i <= t->size; i++)
         at[i] = i > 0 ? bytes : 0;
-    err_t e = team_begin(t, data, at);
-    return e ? e : team_wait(t);
+    return team_spread(t, data, at);
 }
 
 err_t team_exchange(struct team *t, const void *out, const size_t *out_at, void *in,

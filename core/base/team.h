@@ -69,6 +69,9 @@ MUST_USE err_t team_begin(struct team *t, void *data, const size_t *at);
 /* Until the oldest transfer that was begun is complete. */
 MUST_USE err_t team_wait(struct team *t);
 
+/* Both: data is complete on all ranks. */
+MUST_USE err_t team_spread(struct team *t, void *data, const size_t *at);
+
 /* n items of `item` bytes, dealt by team_first: complete on all ranks. */
 MUST_USE err_t team_gather(struct team *t, void *data, size_t item, int n);
 

@@ -529,8 +529,6 @@ void bundle_plan(struct plan *p, int n_views, int n_lenses, const struct match_t
     arena_reset(&p->tmp, mark);
 }
 
-/* Relative poses for a wrong focal length are wrong, and adjustment then converges slowly. So it
- * starts again where a focal length comes out different. */
 static int count_placed(const struct bundle *b)
 {
     int n = 0;
@@ -539,7 +537,9 @@ static int count_placed(const struct bundle *b)
     return n;
 }
 
-/* All centres at once, as long as that places all views; along walks it does not. */
+/* All centres at once, as long as that places all views; along walks it does not. Relative poses
+ * for a wrong focal length are wrong, and adjustment then converges slowly: so it starts again
+ * where a focal length comes out different. */
 static err_t from_focals(struct bundle *b)
 {
     const bool many = b->n_views > PAIR_ALL;

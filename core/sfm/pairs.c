@@ -204,14 +204,10 @@ static err_t gather_pairs(const struct work *w, int first)
         at[i] = k * sizeof *s->pair;
         links[i] = k * pitch * sizeof *base;
     }
-    err_t e = team_begin(t, s->pair, at);
-    if (!e)
-        e = team_wait(t);
+    err_t e = team_spread(t, s->pair, at);
     for (int k = first; k < s->n; k++) // an address is a rank's own
         s->pair[k].link = base + (size_t)k * pitch;
-    if (!e)
-        e = team_begin(t, base, links);
-    return e ? e : team_wait(t);
+    return e ? e : team_spread(t, base, links);
 }
 
 /* fn for pairs [first, n). */

@@ -9,8 +9,8 @@
  * confirming depths. */
 #include "core/stereo/sweep.h"
 
-#include "core/base/share.h"
 #include "core/base/num.h"
+#include "core/base/share.h"
 #include "core/photo/response.h"
 #include "core/stereo/sgm.h"
 #include "core/stereo/transfer.h"
@@ -522,10 +522,8 @@ static err_t sweep_view(void *ctx, int i, int worker)
     const struct run *r = s->run;
     err_t e = match_view(s, i, worker);
     int done = atomic_fetch_add(&s->done, 1) + 1;
-    const int rank = team_rank(r->team), n = s->v->n;
-    const int all = team_first(r->team, n, rank + 1) - team_first(r->team, n, rank);
     if (!e && worker == 0 && r->progress)
-        r->progress(r->progress_ctx, "sweep", done, all, NULL);
+        r->progress(r->progress_ctx, "sweep", done, team_own(r->team, s->v->n), NULL);
     return e;
 }
 
