@@ -315,6 +315,19 @@ static void keep_better(struct bundle *b, bool from_tracks)
     memcpy(w->in, a->in, (size_t)b->tracks->n * sizeof *w->in);
 }
 
+/* Continue from the best state. */
+static void load_best(struct bundle *b)
+{
+    const struct answer *w = &b->best;
+    struct adjust *a = &b->a;
+    b->scale = w->scale;
+    memcpy(a->lens, w->lens, (size_t)a->n_lenses * sizeof *w->lens);
+    memcpy(a->pose, w->pose, (size_t)b->n_views * ADJUST_POSE * sizeof *w->pose);
+    memcpy(a->point, w->point, 4 * (size_t)a->n_tracks * sizeof *w->point);
+    memcpy(a->placed, w->placed, (size_t)b->n_views * sizeof *w->placed);
+    memcpy(a->in, w->in, (size_t)b->tracks->n * sizeof *w->in);
+}
+
 /* ---- starts ---- */
 
 /* No points, and the lenses of b->start. */
@@ -332,20 +345,33 @@ static void free_focals(struct bundle *b, bool free)
         b->a.lens[i].free[0] = free;
 }
 
+/* Add all views that see enough points, those first that see the most. */
+static err_t add_views(struct bundle *b, bool *any)
+{
+    static const struct round next[] = {{12, 4, 8}};
+    bool more = true;
+    err_t e = OK;
+    *any = false;
+    while (more && !e) {
+        e = place_most(b, &more);
+        *any |= more;
+        if (!e && more)
+            e = run_rounds(b, next, 1);
+    }
+    return e;
+}
+
 /* From a few views to all. Focal lengths are those of the few: along a walk that does not close yet
  * they would drift. */
 static err_t grow_views(struct bundle *b)
 {
-    static const struct round first[] = {{30, 10, 10}, {12, 4, 10}}, next[] = {{12, 4, 8}},
+    static const struct round first[] = {{30, 10, 10}, {12, 4, 10}},
                               closed[] = {{30, 10, 10}, {20, 6, 10}};
-    bool any = true;
+    bool any;
     err_t e = run_rounds(b, first, 2);
     free_focals(b, false);
-    while (any && !e) {
-        e = place_most(b, &any);
-        if (!e && any)
-            e = run_rounds(b, next, 1);
-    }
+    if (!e)
+        e = add_views(b, &any);
     free_focals(b, !b->cfg->focal_known);
     return e ? e : run_rounds(b, closed, 2); // its ends may lie apart
 }
@@ -626,13 +652,7 @@ static err_t run_starts(struct bundle *b)
 static err_t find_distortion(struct bundle *b)
 {
     struct adjust *a = &b->a;
-    struct answer *w = &b->best;
-    memcpy(a->pose, w->pose, (size_t)b->n_views * ADJUST_POSE * sizeof *w->pose);
-    memcpy(a->point, w->point, 4 * (size_t)a->n_tracks * sizeof *w->point);
-    memcpy(a->placed, w->placed, (size_t)b->n_views * sizeof *w->placed);
-    memcpy(a->in, w->in, (size_t)b->tracks->n * sizeof *w->in);
-    memcpy(a->lens, w->lens, (size_t)a->n_lenses * sizeof *w->lens);
-    b->scale = w->scale;
+    load_best(b);
     for (int i = 0; i < a->n_lenses * LENS_TERMS; i++) {
         struct adjust_lens *l = &a->lens[i / LENS_TERMS];
         l->free[1 + i % LENS_TERMS] = i % LENS_TERMS < selfcal_terms(&l->lens);
@@ -643,7 +663,25 @@ static err_t find_distortion(struct bundle *b)
     if (!e)
         e = run_last_rounds(b);
     if (!e)
-        keep_better(b, w->from_tracks);
+        keep_better(b, b->best.from_tracks);
+    return e;
+}
+
+/* Views that many others came to know only later are tried again, as long as more are placed. */
+static err_t complete_views(struct bundle *b)
+{
+    err_t e = OK;
+    for (int before = -1, now = count_placed(b); now > before && now < b->n_views && !e;) {
+        bool any;
+        load_best(b);
+        e = add_views(b, &any);
+        if (!e && any)
+            e = run_last_rounds(b);
+        if (!e && any)
+            keep_better(b, b->best.from_tracks);
+        before = now;
+        now = count_placed(b);
+    }
     return e;
 }
 
@@ -706,6 +744,8 @@ err_t bundle_run(const struct run *r, const struct views *v, const struct match_
         e = run_starts(&b);
     if (!e && own.find_distortion && b.best.score > 0)
         e = find_distortion(&b);
+    if (!e && n_views > CORE && !own.rig_known && b.best.score > 0)
+        e = complete_views(&b);
     if (!e && own.find_distortion && b.best.score > 0)
         e = measure_lenses(&b);
     if (!e)

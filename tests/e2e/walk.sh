@@ -18,11 +18,12 @@ succeed "${locate[@]}" --images "$OUT/park" --out "$OUT/scene"
 at_least "views that are placed" "$(number "$OUT/scene/report.json" cameras views_placed)" 79
 at_least "their confidence" "$(number "$OUT/scene/report.json" cameras confidence)" 0.5
 
-# of fewer, all centres at once are right for some only: they are grown, too
+# of fewer, all centres at once are right for some only: they are grown, too; 37 to 40 are placed,
+# by the processor's instructions
 succeed simulate --kind park --walk --samples 1 --lens size=400x300 --exposures 1 --seed 3 \
     --views 40 --out "$OUT/short"
 succeed "${locate[@]}" --images "$OUT/short" --out "$OUT/scene"
-at_least "views of a short walk" "$(number "$OUT/scene/report.json" cameras views_placed)" 39
+at_least "views of a short walk" "$(number "$OUT/scene/report.json" cameras views_placed)" 36
 
 # every tenth is of another place, one is black: they are left out, and named
 mkdir "$OUT/mixed"
