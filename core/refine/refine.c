@@ -555,7 +555,7 @@ static void split_splats(struct refine *f)
                  all     ? "as many as pixels or as allowed"
                  : noise ? "more would learn noise"
                  : vain  ? "more made held-out squares no better"
-                         : "time to settle",
+                         : "the steps that are left train these",
                  (double)db, (double)noise_db);
         return;
     }

@@ -110,6 +110,7 @@ static void update_view(const struct session *s, struct cam *c, int64_t now)
     c->looked = true;
     c->view.exposure = c->set;
     idle_view_look(&s->sample, &c->view);
+    idle_view_shrink(&s->sample, &c->picture);
 }
 
 static bool is_shooting(const struct session *s)
@@ -628,6 +629,11 @@ void session_progress(const struct session *s, struct bracket_progress *out)
 void session_view(const struct session *s, int camera, struct session_view *out)
 {
     *out = s->cam[camera].view;
+}
+
+const struct idle_view_picture *session_picture(const struct session *s, int camera)
+{
+    return &s->cam[camera].picture;
 }
 
 /* ---- the loop ---- */

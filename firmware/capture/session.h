@@ -80,5 +80,6 @@ MUST_USE err_t session_collect(struct session *s, struct take **out);
 
 /* The present picture of a camera and its exposure. */
 void session_view(const struct session *s, int camera, struct session_view *out);
+const struct idle_view_picture *session_picture(const struct session *s, int camera);
 
 #endif

@@ -54,6 +54,7 @@ struct cam {
     int64_t retry_ns, look_ns; // when to look for it, and at what it sees
     bool looked;               // since it was armed
     struct session_view view;
+    struct idle_view_picture picture;
     struct meter meter;
     struct meter_result plan;
     struct frame_buffer roll;

@@ -683,6 +683,7 @@ static err_t open_all(struct daemon *d)
                                .results = c->results_path,
                                .ctx = d,
                                .status = daemon_status_write,
+                               .live = daemon_status_live,
                                .command = run_command};
     if (!e && c->http_port)
         e = http_open(&http, &d->http);

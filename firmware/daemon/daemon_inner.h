@@ -56,6 +56,10 @@ struct daemon {
 /* What it does or waits for. */
 const char *daemon_status_sentence(struct daemon *d);
 
+/* What camera sees while it waits, as JPEG; ctx: struct daemon.
+ * own: free(*jpeg). err: ERR_ARG (no such camera), ERR_AGAIN (nothing was seen yet), ERR_NOMEM */
+MUST_USE err_t daemon_status_live(void *ctx, int camera, void **jpeg, size_t *n);
+
 /* status.json; ctx: struct daemon. */
 void daemon_status_write(void *ctx, FILE *f);
 

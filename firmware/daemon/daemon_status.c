@@ -2,9 +2,16 @@
 #include "firmware/rig/boards_status.h"
 
 #include "drivers/device/clocks.h"
+#include "drivers/format/img.h"
 #include "drivers/format/json.h"
 
 #include <sys/statvfs.h>
+#include <unistd.h>
+
+enum {
+    LIVE_QUALITY = 80,
+    LIVE_CORES = 4 // of boards whose page shows live pictures unless somebody wants none
+};
 
 static const char *state_word(const struct daemon *d)
 {
@@ -57,6 +64,19 @@ static void write_cameras(const struct daemon *d, FILE *f)
     fputs("]", f);
 }
 
+err_t daemon_status_live(void *ctx, int camera, void **jpeg, size_t *n)
+{
+    const struct daemon *d = ctx;
+    const int cameras = d->session ? session_cameras(d->session) : 0;
+    if (camera < 0 || camera >= cameras)
+        return err_fail(ERR_ARG, "camera %d of %d", camera, cameras);
+    const struct idle_view_picture *p = session_picture(d->session, camera);
+    if (p->w == 0)
+        return err_fail(ERR_AGAIN, "camera %d has seen nothing yet", camera);
+    const struct image8 im = {p->w, p->h, 3, (uint8_t *)(uintptr_t)p->px};
+    return img_encode_jpeg(&im, LIVE_QUALITY, "live picture", jpeg, n);
+}
+
 static void write_counters(const struct daemon *d, FILE *f)
 {
     const struct counters *c = &d->count;
@@ -70,6 +90,29 @@ static void write_counters(const struct daemon *d, FILE *f)
             c->coalesced, c->refused, t.lost_edges, c->clock_steps);
 }
 
+/* What the next press does. */
+static void write_press(const struct daemon *d, FILE *f)
+{
+    const struct config *c = d->set;
+    double ev[BRACKET_EXPOSURES_MAX];
+    char what[128], text[TAKE_TEXT];
+    int n = 0;
+    if (c->bracket_mode == CONFIG_LIST &&
+        config_stops("bracket.ev", c->bracket_ev, ev, BRACKET_EXPOSURES_MAX, &n) == OK)
+        snprintf(what, sizeof what, "photographs %d exposure%s", n, n == 1 ? "" : "s");
+    else
+        snprintf(what, sizeof what,
+                 "measures the light and photographs the exposures that the scene needs");
+    snprintf(text, sizeof text, "A press %s%s%s, and %s.", what,
+             c->bracket_stagger ? ", one per camera in turn" : "",
+             d->boards ? ", on all boards of the rig" : "",
+             d->collect.on ? "adds them to the session as a place"
+             : c->job_run  ? "makes a scene of them"
+                           : "keeps them without making a scene (job.run = 0)");
+    fputs(", \"press\": ", f);
+    json_put_string(f, text);
+}
+
 void daemon_status_write(void *ctx, FILE *f)
 {
     struct daemon *d = ctx;
@@ -81,6 +124,8 @@ void daemon_status_write(void *ctx, FILE *f)
         statvfs(d->set->store_path, &v) == 0 ? (double)v.f_bavail * (double)v.f_frsize / 1e6 : -1;
     fprintf(f, "{\"ok\": true, \"state\": \"%s\", \"sentence\": ", state_word(d));
     json_put_string(f, daemon_status_sentence(d));
+    write_press(d, f);
+    fprintf(f, ", \"live\": %s", sysconf(_SC_NPROCESSORS_ONLN) >= LIVE_CORES ? "true" : "false");
     fprintf(f,
             ", \"uptime_s\": %.1f, \"progress\": {\"kept\": %d, \"wanted\": %d, \"frames\": %d, "
             "\"rejected\": %d, \"lost\": %d}, \"waiting\": %d, \"free_mb\": %.0f, ",

@@ -11,6 +11,7 @@
 #include <errno.h>
 #include <fcntl.h>
 #include <inttypes.h>
+#include <limits.h>
 #include <microhttpd.h>
 #include <stdbool.h>
 #include <stdlib.h>
@@ -270,6 +271,21 @@ static enum MHD_Result send_status(const struct http *h, struct MHD_Connection *
     return r;
 }
 
+static enum MHD_Result send_live(const struct http *h, struct MHD_Connection *c, const char *name)
+{
+    char *end;
+    void *jpeg;
+    size_t n;
+    const long camera = strtol(name, &end, 10);
+    if (*name < '0' || *name > '9' || camera > INT_MAX || strcmp(end, ".jpg") != 0)
+        return send_error(c, MHD_HTTP_NOT_FOUND, "no such page");
+    if (h->cfg.live(h->cfg.ctx, (int)camera, &jpeg, &n) != OK)
+        return send_error(c, MHD_HTTP_NOT_FOUND, err_text());
+    enum MHD_Result r = send_text(c, MHD_HTTP_OK, "image/jpeg", jpeg, n);
+    free(jpeg);
+    return r;
+}
+
 static enum MHD_Result get(const struct http *h, struct MHD_Connection *c, const char *url)
 {
     if (strncmp(url, "/results/", 9) == 0)
@@ -287,6 +303,8 @@ static enum MHD_Result get(const struct http *h, struct MHD_Connection *c, const
         return send_text(c, MHD_HTTP_OK, "text/javascript", http_rig_js, http_rig_js_size);
     if (strcmp(url, "/status.json") == 0)
         return send_status(h, c);
+    if (strncmp(url, "/live/", 6) == 0)
+        return send_live(h, c, url + 6);
     if (strncmp(url, "/captures/", 10) == 0)
         return send_file(c, h->cfg.captures, url + 10);
     return send_error(c, MHD_HTTP_NOT_FOUND, "no such page");

@@ -2,6 +2,7 @@
  * libmicrohttpd. It runs inside the daemon's loop, without a thread.
  *   GET  /  /page.{css,js}  /rig.js   the page
  *   GET  /status.json                 output of http_config.status
+ *   GET  /live/N.jpg                  what camera N sees: http_config.live
  *   POST /capture  /cancel            header X-Hdrig: 1, which other sites cannot send
  *   POST /login                       token=...: sets the cookie
  *   GET  /captures/...  /results/...  files, never beyond these folders, never through links
@@ -30,6 +31,8 @@ struct http_config {
     void *ctx;
     void (*status)(void *ctx, FILE *out);          // NULL: captures and command may be NULL too
     err_t (*command)(void *ctx, const char *line); // as on the control socket
+    /* JPEG of camera 0.. as it waits; own: free(*jpeg). err: its sentence is the answer */
+    err_t (*live)(void *ctx, int camera, void **jpeg, size_t *n);
     const char *parts_token;                       // of the rig; NULL or "": no parts are served
 };
 

@@ -33,15 +33,47 @@ function drawHistogram(canvas, counts) {
   });
 }
 
-function cameraCard(c) {
+/* Pictures of the cameras, which outlive their cards. */
+const LIVE_MS = 2000, lives = [];
+
+function live(i, name) {
+  if (!lives[i]) {
+    lives[i] = element("img", undefined, "live");
+    lives[i].alt = `what ${name} sees`;
+    lives[i].addEventListener("error", () => { lives[i].hidden = true; });
+    lives[i].addEventListener("load", () => { lives[i].hidden = false; });
+  }
+  const now = Date.now();
+  if (!(now - lives[i].dataset.at < LIVE_MS) && lives[i].complete) {
+    lives[i].dataset.at = now;
+    lives[i].src = `/live/${i}.jpg?${now}`;
+  }
+  return lives[i];
+}
+
+/* As the user wants it; else as the board can. */
+function showsLive(s) {
+  const box = byId("live");
+  if (!box.dataset.set) {
+    const wanted = localStorage.getItem("hdrig.live");
+    box.checked = wanted ? wanted === "1" : s.live;
+    box.dataset.set = "1";
+  }
+  return box.checked && s.state === "armed" && document.visibilityState === "visible";
+}
+
+function cameraCard(c, i, lively) {
   const card = element("div", undefined, "card");
   card.append(element("h3", c.unit || c.uri));
   card.append(element("p", `${c.width} x ${c.height} ${c.format}`, "small"));
+  if (lively && c.present) card.append(live(i, c.unit || c.uri));
   const canvas = element("canvas");
   canvas.setAttribute("role", "img");
   canvas.setAttribute("aria-label", "histogram of the last picture");
   drawHistogram(canvas, c.histogram);
-  card.append(canvas);
+  const axis = element("p", undefined, "axis");
+  axis.append(element("span", "black"), element("span", "display value"), element("span", "full"));
+  card.append(canvas, axis);
   card.append(element("p", c.present
     ? `${seconds(c.exposure_s)}, clipped ${percent(c.clipped)}, dark ${percent(c.dark)}`
     : "not there", "small"));
@@ -96,6 +128,20 @@ function captureCard(c) {
   return card;
 }
 
+function tell(text, kept = false) { // kept: no trouble
+  byId("message").textContent = text;
+  byId("message").classList.toggle("kept", kept);
+}
+
+/* What has become of the press, when a take is new. */
+function tellOutcome(newest) {
+  const id = newest ? newest.id : "";
+  if (tellOutcome.seen !== undefined && id && id !== tellOutcome.seen)
+    tell(newest.complete ? `${id} is kept: ${newest.frames} frames.`
+      : `${id} is not complete: ${newest.reason || "it was ended"}.`, newest.complete);
+  tellOutcome.seen = id;
+}
+
 function show(s) {
   const state = byId("state");
   state.textContent = s.state;
@@ -114,7 +160,9 @@ function show(s) {
   byId("session-scene").disabled = byId("session-end").disabled = !s.session.places;
   byId("progress").hidden = !own;
   byId("progress").value = s.progress.wanted ? s.progress.kept / s.progress.wanted : 0;
-  byId("cameras").replaceChildren(...s.cameras.map(cameraCard));
+  byId("press").textContent = s.press || "";
+  const lively = showsLive(s);
+  byId("cameras").replaceChildren(...s.cameras.map((c, i) => cameraCard(c, i, lively)));
   const job = s.job;
   byId("job").textContent = job.running
     ? `${job.id}: ${job.line}` + (job.waiting ? `, ${job.waiting} wait` : "")
@@ -124,6 +172,7 @@ function show(s) {
     byId("captures").replaceChildren(...s.captures.map(captureCard));
     const sheet = document.querySelector("#captures .card:first-child .sheet");
     if (sheet) sheet.open = true; // of the last one
+    tellOutcome(s.captures[0]);
     show.key = key;
   }
   byId("counters").replaceChildren(...Object.entries(s.counters).map(([name, n]) => {
@@ -138,23 +187,32 @@ async function refresh() {
     const r = await fetch("/status.json");
     if (r.status === 401) return void location.reload();
     show(await r.json());
-    if (refresh.broken) byId("message").textContent = "";
+    if (refresh.broken) tell("");
     refresh.broken = false;
   } catch (e) {
     byId("state").textContent = "no answer";
     byId("state").className = "state fault";
-    byId("message").textContent = "the daemon does not answer";
+    tell("the daemon does not answer");
     byId("capture").disabled = true;
     refresh.broken = true;
   }
 }
 
 async function post(path) {
-  const r = await fetch(path, { method: "POST", headers: { "X-Hdrig": "1" } });
-  const answer = await r.json();
-  byId("message").textContent = answer.ok ? "" : answer.error;
+  try {
+    const r = await fetch(path, { method: "POST", headers: { "X-Hdrig": "1" } });
+    const answer = await r.json();
+    tell(answer.ok ? "" : answer.error);
+  } catch (e) {
+    tell("the daemon does not answer: nothing was done");
+  }
   refresh();
 }
+
+byId("live").addEventListener("change", () => {
+  localStorage.setItem("hdrig.live", byId("live").checked ? "1" : "0");
+  refresh();
+});
 
 byId("capture").addEventListener("click", () => post("/capture"));
 byId("cancel").addEventListener("click", () => post("/cancel"));

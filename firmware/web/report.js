@@ -38,9 +38,19 @@ function exposureTime(log2) {
 // A figure of report.json under its path, so that scripts find it.
 const figure = (path, text) => element("span", { "data-key": path }, text);
 
+// On a telephone a section opens at its title.
+const narrow = innerWidth < 600;
+
 function section(id, title, ...children) {
-  const e = element("section", { id }, element("h2", {}, title), ...children);
-  document.getElementById("sections").append(e);
+  const part = element("details", {}, element("summary", {}, element("h2", {}, title)),
+    ...children);
+  part.open = !narrow || id === "verdict" || id === "warnings";
+  document.getElementById("sections").append(element("section", { id }, part));
+}
+
+// On paper everything is open.
+function openAll() {
+  for (const e of document.querySelectorAll("details")) e.open = true;
 }
 
 function table(head, rows) {
@@ -64,6 +74,13 @@ const chartWidth = Math.max(300, Math.min(640, innerWidth - 40));
 const line = (x1, y1, x2, y2, name = "axis") => element("line", { x1, y1, x2, y2, class: name });
 const label = (x, y, text, anchor = "middle") =>
   element("text", { x, y, "text-anchor": anchor }, text);
+
+// Title of a vertical axis, read from below.
+const upright = (x, y, text) => element("text",
+  { x, y, "text-anchor": "middle", transform: `rotate(-90 ${x} ${y})` }, text);
+
+// Least whole step whose marks have 26 px each.
+const stepOf = (range, px) => [1, 2, 4, 5, 10, 20, 50].find((s) => s * px >= 26 * range) || 100;
 
 function polyline(points, attributes) {
   const d = points.map(([x, y], i) => `${i ? "L" : "M"}${x.toFixed(2)} ${y.toFixed(2)}`).join("");
@@ -105,6 +122,71 @@ function warnings() {
   section("warnings", "Warnings", list.length
     ? element("ul", { class: "warnings" }, ...list.map((w) => element("li", {}, w)))
     : element("p", {}, "None."));
+}
+
+// ---- the scene in short ----
+
+const GOOD_DB = 28, USABLE_DB = 22, GUESSES_MANY = 0.25, WORSE_DB = 4, ADVICE_MOST = 3;
+
+// What speaks most for the scene: views held back, squares held back, its own photographs.
+function likeness() {
+  const quality = report.quality || {};
+  if (report.ldr) return ["ldr.psnr", report.ldr.psnr, "to photographs that were held back"];
+  return known(quality.held_out_psnr)
+    ? ["quality.held_out_psnr", quality.held_out_psnr,
+      "to parts of photographs that were held back"]
+    : ["quality.ldr_input_psnr", quality.ldr_input_psnr,
+      "to its photographs; none was held back, so other directions may be worse"];
+}
+
+function isItGood() {
+  const [path, v, what] = likeness(), guesses = report.confidence && report.confidence.guesses;
+  if (!known(v)) return element("p", {}, "How good it is was not measured.");
+  const unsure = known(guesses) && guesses > GUESSES_MANY;
+  const words = v >= GOOD_DB ? (unsure ? "Good where it is known" : "Good")
+    : v >= USABLE_DB ? "Usable" : "Rough";
+  const e = element("p", {}, element("strong", {}, `${words}.`), " Its likeness is ",
+    figure(path, db(v)), ` ${what}.`);
+  if (known(guesses))
+    e.append(` Photographs prove ${share(1 - guesses)} of what is seen, the rest is a guess.`);
+  return e;
+}
+
+// Views that are much worse than the others, and those that have no place.
+function whereNot() {
+  const measured = inputs.filter((v) => known(v.psnr)).sort((a, b) => a.psnr - b.psnr);
+  const middle = measured.length ? measured[measured.length >> 1].psnr : 0;
+  const worse = measured.filter((v) => v.psnr < middle - WORSE_DB).map((v) => v.name);
+  const out = report.warnings.filter((w) => w.includes(" is left out"))
+    .map((w) => w.split(" is left out")[0]);
+  const names = (list) => list.slice(0, 3).join(", ") +
+    (list.length > 3 ? ` and ${list.length - 3} more` : "");
+  const words = [];
+  if (worse.length) words.push(`Much worse than the others: ${names(worse)}.`);
+  if (out.length) words.push(`Without a place in the scene: ${names(out)}.`);
+  return element("p", {}, words.join(" ") || "No photograph stands out as worse than the others.");
+}
+
+// Warnings end with what would help, behind a semicolon; the same advice counts once.
+function nextTime() {
+  const capital = (t) => t[0].toUpperCase() + t.slice(1);
+  const told = new Map();
+  for (const w of report.warnings.filter((t) => t.includes("; "))) {
+    const advice = w.slice(w.lastIndexOf("; ") + 2);
+    told.set(advice, (told.get(advice) || 0) + 1);
+  }
+  const list = [...told].sort((a, b) => b[1] - a[1]).slice(0, ADVICE_MOST)
+    .map(([advice, n]) => `${capital(advice)}${n > 1 ? ` (${n} photographs)` : ""}.`);
+  const more = oneMore();
+  if (more) list.push(more);
+  return list.length ? element("ul", {}, ...list.map((t) => element("li", {}, t)))
+    : element("p", {}, "Nothing: more photographs would hardly change it.");
+}
+
+function verdict() {
+  const question = (t) => element("h3", {}, t);
+  section("verdict", "In short", question("Is it good?"), isItGood(),
+    question("Where is it not?"), whereNot(), question("What would help next time?"), nextTime());
 }
 
 // ---- photographs ----
@@ -179,9 +261,9 @@ function photographs() {
 function exposureChart() {
   const from = Math.floor(Math.min(...exposures.map((e) => e.radiance_stops[0])));
   const to = Math.ceil(Math.max(...exposures.map((e) => e.radiance_stops[1])));
-  const left = 48, width = chartWidth, row = 24, bottom = exposures.length * row;
+  const left = 66, width = chartWidth, row = 24, bottom = exposures.length * row;
   const x = (s) => left + (s - from) / Math.max(1, to - from) * (width - left - 10);
-  const step = to - from > 20 ? 4 : 2, marks = [];
+  const step = stepOf(to - from, width - left), marks = [];
   for (let s = Math.ceil(from / step) * step; s <= to; s += step)
     marks.push(line(x(s), 0, x(s), bottom), label(x(s), bottom + 14, fixed(s, 0)));
   const bars = exposures.map((e, i) => {
@@ -191,7 +273,9 @@ function exposureChart() {
         { class: "bar", x: x(a), y: i * row + 5, width: x(b) - x(a), height: row - 10, rx: 3 }),
       label(left - 8, i * row + 16, signed(e.stops), "end"));
   });
-  const chart = svg(width, bottom + 20, ...marks, ...bars);
+  const chart = svg(width, bottom + 38, ...marks, ...bars,
+    label((left + width) / 2, bottom + 32, "radiance, stops from half of full scale"),
+    upright(12, bottom / 2, exposures.length > 3 ? "exposure, stops" : "stops"));
   chart.setAttribute("class", "chart");
   chart.setAttribute("aria-label", "well exposed radiance of each exposure");
   return chart;
@@ -255,6 +339,13 @@ function plan(cameras, extent, across, upward, caption) {
   const scale = (size - 2 * edge) / extent, height = (high[1] - low[1]) * scale + 2 * edge;
   const at = (p) => [size, height].map((side, k) =>
     side / 2 + (p[k] - (low[k] + high[k]) / 2) * scale);
+  const taken = []; // a number that would lie on another is left out; its camera has a title
+  const numberAt = (x, y, text) => {
+    if (taken.some(([u, v]) => Math.abs(u - x) < 8 * text.length + 4 && Math.abs(v - y) < 12))
+      return null;
+    taken.push([x, y]);
+    return label(x, y, text);
+  };
   const draw = (c, i) => {
     const [x, y] = at(place[i]), reach = 30, half = Math.tan(c.fov_deg * Math.PI / 360);
     const flat = (v) => [dot(v, across), -dot(v, upward)];
@@ -266,7 +357,7 @@ function plan(cameras, extent, across, upward, caption) {
       polyline([...cone, cone[0]], { class: "view" }),
       ...cone.map((p) => line(x, y, p[0], p[1], "view")),
       element("circle", { class: "dot", cx: x, cy: y, r: 2.5 }),
-      cameras.length <= 30 ? label(x - 7 * f[0], y - 7 * f[1] + 4, c.number) : null);
+      numberAt(x - 9 * f[0], y - 9 * f[1] + 4, c.number));
   };
   const drawing = svg(size, height, ...cameras.map(draw));
   drawing.setAttribute("aria-label", caption);
@@ -283,7 +374,7 @@ function cameraWords() {
   return element("p", {}, `Found from ${start}: `,
     figure("cameras.points_agree", count(c.points_agree)), " of ",
     figure("cameras.points_seen", count(c.points_seen)), " observations agree, within ",
-    figure("cameras.rms_px", `${fixed(c.rms_px, 2)} px`), " (rms). Confidence ",
+    figure("cameras.rms_px", `${fixed(c.rms_px, 2)} px`), " (root mean square). Confidence ",
     figure("cameras.confidence", fixed(c.confidence, 2)),
     " of 1; below 0.1 they are a guess. Views that are tied to the others: ",
     figure("cameras.views_placed", String(c.views_placed)), ".");
@@ -313,10 +404,18 @@ function cameras() {
 
 // ---- tone curve ----
 
-const familyName = (f) => f.parameter ? `${f.name} ${f.parameter}` : f.name;
+// With what its number means: core/photo/response_family.h.
+const familyName = ({ name, parameter }) => ({
+  linear: "linear (no curve)",
+  sRGB: "sRGB (standard screen)",
+  gamma: `power curve, gamma ${parameter}`,
+  filmic: `like film, white at ${2 ** (2 * parameter - 1)} times full scale`,
+  AgX: `AgX (soft, keeps colours), ${parameter} stops`,
+  log: `logarithmic, ${parameter} stops`,
+}[name] || name);
 
 function toneChart(tone) {
-  const left = 34, width = chartWidth, height = 0.35 * width + 80, bottom = height - 26;
+  const left = 52, width = chartWidth, height = 0.35 * width + 98, bottom = height - 44;
   const curves = [tone.red, tone.green, tone.blue];
   const inside = tone.stops.filter((s, i) => curves.some((c) => c[i] > 0.004 && c[i] < 0.996));
   const from = Math.floor(Math.min(-4, ...inside)), to = Math.ceil(Math.max(3, ...inside));
@@ -326,7 +425,8 @@ function toneChart(tone) {
     tone.stops.map((s, i) => [s, values[i]]).filter(([s, v]) => known(v) && s >= from && s <= to)
       .map(([s, v]) => [x(s), y(v)]), { class: name });
   const marks = [];
-  for (let s = from; s <= to; s += to - from > 12 ? 2 : 1)
+  const step = stepOf(to - from, width - left);
+  for (let s = Math.ceil(from / step) * step; s <= to; s += step)
     marks.push(line(x(s), y(0), x(s), y(1)), label(x(s), bottom + 15, fixed(s, 0)));
   for (const v of [0, 0.25, 0.5, 0.75, 1])
     marks.push(line(left, y(v), width - 10, y(v)),
@@ -334,9 +434,11 @@ function toneChart(tone) {
   const chart = svg(width, height, ...marks,
     ...tone.families.map((f) =>
       draw(f.display, f.name === tone.nearest ? "family near" : "family")),
-    draw(tone.red, "curve red"), draw(tone.green, "curve green"), draw(tone.blue, "curve blue"));
+    draw(tone.red, "curve red"), draw(tone.green, "curve green"), draw(tone.blue, "curve blue"),
+    label((left + width) / 2, height - 8, "light at the middle exposure, stops"),
+    upright(12, (y(0) + y(1)) / 2, "display value, %"));
   chart.setAttribute("class", "chart");
-  chart.setAttribute("aria-label", "display value over exposure: red, green, blue, known families");
+  chart.setAttribute("aria-label", "display value over exposure: red, green, blue, known curves");
   return chart;
 }
 
@@ -348,29 +450,33 @@ function toneCurve() {
     known(tone.families[i].rms) ? `${fixed(100 * tone.families[i].rms, 1)} %` : "not known")]);
   section("tone", "Tone curve",
     element("p", {}, near
-      ? `Nearest known family: ${familyName(near)}, ${fixed(100 * near.rms, 1)} % of full scale ` +
-        "away (rms)."
-      : "The curve is like no known family: it does not lead from black to white."),
+      ? `Nearest known curve: ${familyName(near)}, ${fixed(100 * near.rms, 1)} % of full scale ` +
+        "away on average."
+      : "The curve is like no known one: it does not lead from black to white."),
     toneChart(tone),
     element("p", { class: "small soft" }, "Display value in percent over exposure in stops, as " +
-      "the scene has it in red, green and blue. Dashed: known families, each moved to where it " +
+      "the scene has it in red, green and blue. Dashed: known curves, each moved to where it " +
       "fits best; the nearest one in blue."),
-    table(["family", "distance (rms)"], rows));
+    table(["known curve", "mean distance"], rows));
 }
 
 // ---- quality ----
 
 // What one more photograph would prove.
-function advice() {
-  const c = report.confidence, a = report.suggested_photograph;
-  if (!c) return null;
-  const where = a && { left: "to the left", right: "to the right", above: "higher",
+function oneMore() {
+  const a = report.suggested_photograph;
+  if (!a) return "";
+  const where = { left: "further to the left", right: "further to the right", above: "higher",
     below: "lower" }[a.direction];
-  return element("p", {}, figure("confidence.guesses", share(c.guesses)),
-    " of the pixels are guesses. ", a
-      ? `One more photograph would help most ${a.degrees} degrees further ${where} than ` +
-        `${a.near}, of the same things.`
-      : "One more photograph near these would hardly prove more.");
+  return `One more photograph would help most ${a.degrees} degrees ${where} than ` +
+    `${a.near}, of the same things.`;
+}
+
+function advice() {
+  const c = report.confidence;
+  return c && element("p", {}, figure("confidence.guesses", share(c.guesses)),
+    " of the pixels are guesses. ",
+    oneMore() || "One more photograph near these would hardly prove more.");
 }
 
 function residuals() {
@@ -402,7 +508,7 @@ function measured() {
   const row = (name, key) => report[key] &&
     [name, figure(`${key}.psnr`, db(report[key].psnr)),
       figure(`${key}.ssim`, fixed(report[key].ssim, 4)), String(report[key].images)];
-  const rows = [row("photographs", "ldr"), row("radiance (mu-law)", "hdr"),
+  const rows = [row("photographs", "ldr"), row("radiance (mu-law, as in papers)", "hdr"),
     row("nearest input view, for comparison", "baseline_nearest"),
     ...(report.per_exposure || []).map((e) =>
       [`photographs at exposure ${e.exposure}`, db(e.psnr), fixed(e.ssim, 4), ""])];
@@ -423,8 +529,10 @@ function modelled() {
   else
     words.push(`${plural(report.refine_steps, "step")} of refinement` +
       (report.refine_stopped_early ? ": it stopped early, as more did not help." : "."));
-  words.push(`Spherical harmonics of degree ${report.sh_degree}: colours ` +
-    (report.sh_degree ? "change with the direction." : "are the same from every direction."));
+  words.push(`Colours ` +
+    (report.sh_degree
+      ? `change with the direction (spherical harmonics of degree ${report.sh_degree}).`
+      : "are the same from every direction."));
   section("modelled", "What was modelled, and why",
     element("ul", {}, ...words.map((w) => element("li", {}, w))));
 }
@@ -432,11 +540,11 @@ function modelled() {
 // ---- cost ----
 
 const stageWords = {
-  preprocess: "photographs resized", response: "response curve", cameras: "cameras",
-  sweep: "stereo", seed: "first splats", backbone: "network, backbone",
-  heads: "network, cameras and depth",
-  appearance: "network, appearance", voxel: "splats merged", refine: "refinement",
-  render: "input views drawn", write: "files written", measure: "measured",
+  preprocess: "photographs read", response: "tone curve found", cameras: "cameras found",
+  sweep: "depth by stereo", seed: "first splats", backbone: "network: what is seen",
+  heads: "network: cameras and depth", appearance: "network: colours", voxel: "splats merged",
+  refine: "splats refined", confidence: "what is proven", render: "views drawn",
+  write: "files written", measure: "measured",
 };
 
 function cost() {
@@ -452,11 +560,12 @@ function cost() {
     element("div", { class: "times small" }, ...rows),
     element("p", { class: "small soft" }, `${seconds(total)} in all on ` +
       `${plural(report.threads, "thread")}. Memory at most ${fixed(report.peak_rss_mb, 0)} MB; ` +
-      `set aside were ${fixed(report.keep_peak_mb, 0)} MB for results and ` +
+      `planned were ${fixed(report.keep_peak_mb, 0)} MB for results and ` +
       `${fixed(report.tmp_peak_mb, 0)} MB for the work.`));
 }
 
 head();
+verdict();
 warnings();
 if (inputs.length) {
   photographs();
@@ -468,3 +577,4 @@ residuals();
 measured();
 modelled();
 cost();
+addEventListener("beforeprint", openAll);

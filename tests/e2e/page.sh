@@ -23,6 +23,19 @@ wait_for "document.querySelectorAll('#cameras canvas').length" 1
 [ "$(value "document.getElementById('capture').getBoundingClientRect().height >= 44")" = true ] ||
     fail "the button is too small for a thumb"
 
+# what it sees, and what a press does
+live="document.querySelector('#cameras img.live')"
+value "document.getElementById('live').checked || document.getElementById('live').click()" \
+    >/dev/null
+wait_for "$live && $live.naturalWidth" 28
+wait_for "!$live.hidden" true
+grep -q '^A press measures the light .*, and adds them to the session as a place\.$' \
+    <<<"$(value "document.getElementById('press').textContent")" ||
+    fail "a press: $(value "document.getElementById('press').textContent")"
+screenshot "$OUT/live.png"
+value "document.getElementById('live').click()" >/dev/null
+wait_for "$live" null
+
 # the button
 value "document.getElementById('capture').click()" >/dev/null
 wait_for "document.querySelectorAll('#captures .card').length" 1
@@ -30,8 +43,9 @@ wait_for "document.getElementById('state').textContent" armed
 wait_for "document.querySelector('#captures img').complete" true
 [ "$(value "document.querySelector('#captures img').naturalWidth")" = 56 ] || fail "no picture"
 [ "$(value "document.querySelector('#captures a').textContent")" = manifest ] || fail "no link"
-[ "$(value "document.getElementById('message').textContent")" = "" ] ||
-    fail "the page complains: $(value "document.getElementById('message').textContent")"
+grep -Eq '^[0-9a-f]{8}-000001 is kept: [0-9]+ frames\.$' \
+    <<<"$(value "document.querySelector('#message.kept').textContent")" ||
+    fail "the outcome: $(value "document.getElementById('message').textContent")"
 
 # a rig of one camera collects places
 text="document.getElementById('places').textContent"

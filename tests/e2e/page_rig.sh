@@ -125,7 +125,7 @@ call Emulation.setDeviceMetricsOverride \
     '{"width":1200,"height":900,"deviceScaleFactor":1,"mobile":false}'
 fits 1200
 screenshot "$OUT/desk64.png"
-is "document.getElementById('message').textContent" ""
+is "document.getElementById('message').matches('.kept, :empty')" true
 
 kill -TERM $daemon
 wait $daemon || fail "the daemon ends with $?"

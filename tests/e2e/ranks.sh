@@ -55,6 +55,12 @@ start mpirun.openmpi -n 2 "$hdrig" eval --data set --rig none --model none --siz
     --json eval.json || fail "eval: $(tail -n 3 "$ERR")"
 [ "$(grep -c '^LDR' stdout.txt)" = 1 ] || fail "eval: not one table"
 
+# one rank a machine, as the README starts them
+echo localhost >hosts
+start mpirun.openmpi --hostfile hosts --map-by ppr:1:node --bind-to none "$hdrig" $stereo \
+    --out listed || fail "a list of machines: $(tail -n 3 "$ERR")"
+! grep -q '"ranks": [2-9]' listed/report.json || fail "several ranks on one machine"
+
 # ---- files that only the first rank has ----
 
 mkdir elsewhere

@@ -69,7 +69,7 @@ http.port = 0
 control.socket = $socket
 END
 cp "$tiny/tiny.ckpt" "$sandbox/InstantHDR.ckpt"
-echo localhost slots=2 >"$sandbox/hosts"
+echo localhost >"$sandbox/hosts"
 export OMPI_ALLOW_RUN_AS_ROOT=1 OMPI_ALLOW_RUN_AS_ROOT_CONFIRM=1 # CI is root
 
 # the photographs and their exposures are those of the example
@@ -106,7 +106,8 @@ for command in $("$HDRIG" rig --help | sed -n 's/^  \([a-z]*\) .*/\1/p'); do
     "$HDRIG" rig "$command" --help
 done >>"$OUT/help.txt"
 for option in $(grep -o -e '[`(: ]--[a-z][a-z-]*' "$readme" | tr -d '`(: ' | sort -u); do
-    case $option in --now | --hostfile | --bind-to) continue ;; esac # of systemctl, mpirun
+    # of systemctl, mpirun
+    case $option in --now | --hostfile | --map-by | --bind-to) continue ;; esac
     grep -q -e "$option" "$OUT/help.txt" || fail "README.md: no $option"
 done
 version=$(make -s print-VERSION)

@@ -84,6 +84,11 @@ check() { # name sections
     is "$1: loaded" "performance.getEntriesByType('resource').length" 0
     is "$1: sections" "[...document.querySelectorAll('section')].map((s) => s.id).join(' ')" "$2"
     is "$1: figures that differ" "$differ" ""
+    at_least "$1: minus screens of a telephone" \
+        "$(value "-document.documentElement.scrollHeight / innerHeight")" -3.5
+    value "openAll()" >/dev/null
+    is "$1: words on words" "$meet" 0
+    is "$1: axes without titles" "$bare" false
     is "$1: wider than a telephone" "document.documentElement.scrollWidth <= innerWidth" true
     is "$1: pictures that fail" \
         "[...document.images].filter((i) => !i.complete || !i.naturalWidth).length" 0
@@ -92,6 +97,15 @@ check() { # name sections
     is "$1: drawings that are none" \
         "[...document.querySelectorAll('svg')].some((s) => s.innerHTML.includes('NaN'))" false
 }
+
+# Words in drawings that lie on one another.
+meet="[...document.querySelectorAll('svg')].reduce((all, s) => {
+    const boxes = [...s.querySelectorAll('text')].map((t) => t.getBoundingClientRect());
+    return all + boxes.filter((a, i) => boxes.slice(i + 1).some((b) => a.left < b.right - 1 &&
+        b.left < a.right - 1 && a.top < b.bottom - 2 && b.top < a.bottom - 2)).length; }, 0)"
+meet=${meet//$'\n'/ }
+
+bare="[...document.querySelectorAll('.chart')].some((s) => !s.querySelector('[transform]'))"
 
 shown() { # name key member-of-an-object, or "" for one at the top
     local file=$OUT/$1-scene/report.json want
@@ -105,7 +119,7 @@ show bad
 is "forbidden things" "problems.sort().join()" "img-src,not loaded,script-src-elem"
 is "title of the bad page" "document.title" "Scan report"
 
-before="warnings photographs exposures cameras tone"
+before="verdict warnings photographs exposures cameras tone"
 after="modelled cost"
 check room "$before residuals $after"
 for key in gaussians quality.ldr_input_psnr quality.held_out_psnr seconds.total peak_rss_mb; do
@@ -129,14 +143,18 @@ screenshot "$OUT/page.png"
 show unseen
 is "address of a scene that is not there" "document.querySelector('#summary a')" null
 
+is "the short sentence" "/^(Good|Usable|Rough)/.test(
+    document.querySelector('#verdict strong').textContent)" true
+is "questions" "document.querySelectorAll('#verdict h3').length" 3
+
 check forward "$before residuals $after"
 is "a forward pass" "document.getElementById('modelled').textContent.includes('single pass')" true
 check measured "$before measured $after"
 is "what was measured" "document.querySelectorAll('#measured tr').length > 3" true
 check many "$before residuals $after"
 is "photographs" "document.querySelectorAll('#photographs .card').length" 16
-is "photographs behind a click" "document.querySelectorAll('#photographs details').length" 0
-is "those behind a click" "document.querySelectorAll('#residuals details img').length" 4
+is "photographs behind a click" "document.querySelectorAll('#photographs details details').length" 0
+is "those behind a click" "document.querySelectorAll('#residuals details details img').length" 4
 check brackets "$before residuals $after"
 is "photographs of brackets" "document.querySelectorAll('#photographs .card').length" \
     "$(sed -n 's/^  "photographs": \([0-9]*\).*/\1/p' "$OUT/brackets-scene/report.json")"
@@ -148,6 +166,7 @@ for name in black white named; do
         "document.querySelector('.warnings').textContent.includes('have one exposure')" true
 done
 show black
+is "advice" "document.querySelector('#verdict ul').textContent.length > 20" true
 all="document.querySelector('.warnings').textContent.includes('100 % of the pixels are"
 is "black" "$all dark')" true
 show white

@@ -71,7 +71,7 @@ ranks() { # number of ranks, arguments of hdrig...
     if [ -n "$SPACES" ]; then
         for i in $(seq 1 "$n"); do echo 10.78.1.$i; done >"$OUT/hosts"
         words=(ip netns exec $tag-0 taskset -c 0 "${words[@]}" --hostfile "$OUT/hosts"
-            --mca plm_rsh_agent "$PWD/$OUT/agent.sh" --mca btl tcp,self
+            --map-by ppr:1:node --mca plm_rsh_agent "$PWD/$OUT/agent.sh" --mca btl tcp,self
             --mca btl_tcp_if_include eth0 --mca oob_tcp_if_include eth0)
     fi
     "${words[@]}" "$hdrig" "$@" --threads 1

@@ -37,10 +37,20 @@ static err_t command(void *ctx, const char *line)
     return command_err ? err_fail(command_err, "a \"capture\" runs") : OK;
 }
 
+static err_t live(void *ctx, int camera, void **jpeg, size_t *n)
+{
+    (void)ctx;
+    if (camera > 0)
+        return err_fail(ERR_ARG, "camera %d of 1", camera);
+    *jpeg = strdup("a jpeg");
+    *n = 6;
+    return OK;
+}
+
 static void open_rig(const char *token, const char *parts_token)
 {
-    struct http_config c = {"127.0.0.1", 0,      token,   captures,   results,
-                            NULL,        status, command, parts_token};
+    struct http_config c = {"127.0.0.1", 0,      token,   captures, results,
+                            NULL,        status, command, live,     parts_token};
     assert_int_equal(http_open(&c, &h), OK);
 }
 
@@ -139,6 +149,14 @@ static void the_page_and_the_state(void **state)
     assert_int_equal(request_exposure("GET", "/status.json", ""), 200);
     assert_true(says("{\"state\": \"armed\"}"));
     assert_int_equal(request_exposure("GET", "/nothing", ""), 404);
+    assert_int_equal(request_exposure("GET", "/live/0.jpg?123", ""), 200);
+    assert_true(says("image/jpeg") && says("a jpeg"));
+    assert_int_equal(request_exposure("GET", "/live/1.jpg", ""), 404);
+    assert_true(says("camera 1 of 1"));
+    static const char *const no[] = {"/live/.jpg", "/live/-1.jpg", "/live/0.png",
+                                     "/live/99999999999.jpg", "/live/"};
+    for (size_t i = 0; i < sizeof no / sizeof no[0]; i++)
+        assert_int_equal(request_exposure("GET", no[i], ""), 404);
     assert_int_equal(request_exposure("PUT", "/status.json", ""), 405);
 }
 
@@ -496,7 +514,7 @@ static void what_cannot_be_opened(void **state)
 {
     (void)state;
     struct http *other;
-    struct http_config c = {"nowhere", 0, "", captures, results, NULL, status, command, NULL};
+    struct http_config c = {"nowhere", 0, "", captures, results, NULL, status, command, live, NULL};
     assert_int_equal(http_open(&c, &other), ERR_ARG);
     assert_null(other);
     c.address = "127.0.0.1";
