@@ -264,3 +264,25 @@ err_t metrics_mu_law(const struct image *hdr, double scale, struct image *out)
     }
     return OK;
 }
+
+err_t metrics_stops(const struct image *a, const struct image *b, const uint8_t *seen, double least,
+                    float *log2, double *out)
+{
+    const size_t n = values_of(b), plane = (size_t)b->w * (size_t)b->h;
+    double median = 0, sum = 0;
+    size_t counted = 0;
+    *out = NAN;
+    err_t e = check_pair(a, b);
+    if (e)
+        return e;
+    for (size_t i = 0; i < n; i++)
+        if ((!seen || seen[i % plane]) && (double)b->px[i] >= least)
+            log2[counted++] = log2f(fmaxf(a->px[i], (float)least) / b->px[i]);
+    if (counted == 0)
+        return OK;
+    e = metrics_quantile(log2, counted, 0.5, &median);
+    for (size_t i = 0; i < counted; i++)
+        sum += pow((double)log2[i] - median, 2);
+    *out = sqrt(sum / (double)counted);
+    return e;
+}

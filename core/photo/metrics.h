@@ -38,4 +38,12 @@ MUST_USE err_t metrics_quantile(const float *values, size_t n, double q, double 
  * err:  ERR_ARG (a scale that is not finite). */
 MUST_USE err_t metrics_mu_law(const struct image *hdr, double scale, struct image *out);
 
+/* Error of radiance a against the truth b in stops: root mean square of log2(a / b), without a
+ * factor common to all values, which is the median of the ratios. Values of b below `least`, > 0,
+ * do not count, those of a below it are taken as it. NAN if none counts.
+ * log2: room for the values of an image.
+ * err:  ERR_ARG (shapes, a value that is not finite). */
+MUST_USE err_t metrics_stops(const struct image *a, const struct image *b, const uint8_t *seen,
+                             double least, float *log2, double *out);
+
 #endif

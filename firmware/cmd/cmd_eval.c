@@ -94,6 +94,22 @@ static void report_trust(const struct evaluate_trust *t, struct report *rep)
     report_close(rep);
 }
 
+static void report_pictures(const struct evaluate_result *fig, struct report *rep)
+{
+    report_open(rep, "pictures", '[');
+    for (int i = 0; i < fig->n_pictures; i++) {
+        const struct evaluate_picture *p = &fig->pictures[i];
+        report_open(rep, NULL, '{');
+        report_text(rep, "name", p->name);
+        report_number(rep, "exposure", p->exposure);
+        report_bool(rep, "exposure_seen", p->seen);
+        report_number(rep, "psnr", p->psnr);
+        report_number(rep, "ssim", p->ssim);
+        report_close(rep);
+    }
+    report_close(rep);
+}
+
 static void write_report(const struct state *st, FILE *f)
 {
     struct report rep;
@@ -102,6 +118,9 @@ static void write_report(const struct state *st, FILE *f)
     report_int(&rep, "test_views", fig->views);
     report_score(&rep, "ldr", &fig->ldr);
     report_score(&rep, "hdr", &fig->hdr);
+    report_number(&rep, "hdr_stops", fig->n_stops ? fig->stops : NAN);
+    report_score(&rep, "ldr_seen_exposures", &fig->ldr_seen);
+    report_score(&rep, "ldr_unseen_exposures", &fig->ldr_unseen);
     report_score(&rep, "baseline_nearest", &fig->nearest);
     report_trust(&fig->trust, &rep);
     report_pose(&rep, &st->pose);
@@ -114,6 +133,7 @@ static void write_report(const struct state *st, FILE *f)
         report_close(&rep);
     }
     report_close(&rep);
+    report_pictures(fig, &rep);
     job_report(&st->job, pool_size(st->engine.pool), &rep);
     report_close(&rep);
 }
@@ -122,6 +142,15 @@ static void print_score(const char *what, const struct evaluate_score *s)
 {
     if (s->n > 0)
         printf("%-18s %9.3f %9.4f %7d\n", what, s->psnr, s->ssim, s->n);
+}
+
+static void print_worst(const struct evaluate_result *fig)
+{
+    const struct evaluate_picture *worst = fig->pictures;
+    for (int i = 1; i < fig->n_pictures; i++)
+        worst = fig->pictures[i].psnr < worst->psnr ? &fig->pictures[i] : worst;
+    if (fig->n_pictures > 1)
+        printf("worst: %s, %.1f dB\n", worst->name, worst->psnr);
 }
 
 static void print_table(const struct state *st)
@@ -140,8 +169,15 @@ static void print_table(const struct state *st)
         snprintf(what, sizeof what, "  exposure %g", fig->exposures[i].exposure);
         print_score(what, &fig->exposures[i].score);
     }
+    if (fig->ldr_seen.n > 0 && fig->ldr_unseen.n > 0) {
+        print_score("  as in the inputs", &fig->ldr_seen);
+        print_score("  not in the inputs", &fig->ldr_unseen);
+    }
     print_score("HDR mu-law", &fig->hdr);
     print_score("nearest input view", &fig->nearest);
+    print_worst(fig);
+    if (fig->n_stops > 0)
+        printf("radiance: %.2f stops off (root mean square)\n", fig->stops);
     if (fig->trust.pixels[0] > 0)
         printf("%.1f %% of the pixels are guesses: %.1f dB there, %.1f dB elsewhere\n",
                100 * trust_share(&fig->trust), trust_psnr(&fig->trust, 0),

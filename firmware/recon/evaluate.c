@@ -53,23 +53,22 @@ struct bench {
 
 enum { IMAGES = 3, LENS_SIDES = 2 }; // of the view at most, what is drawn for a lens
 
-static void add_score(struct evaluate_score *s, double psnr, double ssim)
+static const double STOPS_BELOW = 14; // radiance that counts, below the 99 % quantile of the truth
+static const float SAME_EXPOSURE = 0.05f; // stops
+
+static void add_score(struct evaluate_score *s, const struct evaluate_score *one)
 {
     s->n++;
-    s->psnr += (psnr - s->psnr) / s->n;
-    s->ssim += (ssim - s->ssim) / s->n;
+    s->psnr += (one->psnr - s->psnr) / s->n;
+    s->ssim += (one->ssim - s->ssim) / s->n;
 }
 
 static err_t compare_picture(struct bench *b, const struct image *picture,
-                             const struct image *truth, struct evaluate_score *score)
+                             const struct image *truth, struct evaluate_score *one)
 {
-    double psnr, ssim;
-    err_t e = metrics_psnr(picture, truth, b->seen, &psnr);
-    if (!e)
-        e = metrics_ssim(picture, truth, b->seen, b->r->tmp, &ssim);
-    if (!e)
-        add_score(score, psnr, ssim);
-    return e;
+    one->n = 1;
+    err_t e = metrics_psnr(picture, truth, b->seen, &one->psnr);
+    return e ? e : metrics_ssim(picture, truth, b->seen, b->r->tmp, &one->ssim);
 }
 
 /* ---- LDR ---- */
@@ -165,30 +164,47 @@ static err_t measure_nearest(struct bench *b, const struct view *v)
     if (near < 0 ||
         (!v->lensed && (inputs->extent[near].w != v->px.w || inputs->extent[near].h != v->px.h)))
         return OK;
+    struct evaluate_score one;
     reexpose_picture(b, near, v->log2t);
     err_t e = v->lensed ? lens_nearest(b, v, near) : OK;
     if (!e)
-        e = compare_picture(b, &b->other, &b->truth, &b->out->nearest);
+        e = compare_picture(b, &b->other, &b->truth, &one);
+    if (!e)
+        add_score(&b->out->nearest, &one);
     b->seen = v->lensed ? b->shown[0] : NULL;
     return e;
 }
 
+/* Whether an input photograph has this exposure. */
+static bool is_seen(const struct bench *b, float log2t)
+{
+    const struct views *inputs = &b->j->views;
+    for (int i = 0; i < inputs->n + inputs->n_more; i++)
+        if (fabsf(inputs->log2t[i] - log2t) < SAME_EXPOSURE)
+            return true;
+    return false;
+}
+
 static err_t measure_ldr(struct bench *b, const struct shot *s, const struct view *v)
 {
-    struct evaluate_score *score = NULL;
-    err_t e = find_exposure(b->out, s->exposure, &score);
+    struct evaluate_result *out = b->out;
+    struct evaluate_score *score = NULL, one;
+    err_t e = find_exposure(out, s->exposure, &score);
     if (e)
         return e;
-    int before = score->n;
-    double psnr = score->psnr, ssim = score->ssim;
     to_planar(v->rgb, &b->truth);
     if (b->j->scene.confidence)
-        add_trust(b, &b->out->trust);
-    e = compare_picture(b, &b->draw.display, &b->truth, score);
-    if (!e) // the same figures go into the mean over all
-        add_score(&b->out->ldr, psnr + (score->psnr - psnr) * (before + 1),
-                  ssim + (score->ssim - ssim) * (before + 1));
-    return e ? e : measure_nearest(b, v);
+        add_trust(b, &out->trust);
+    e = compare_picture(b, &b->draw.display, &b->truth, &one);
+    if (e)
+        return e;
+    const bool seen = is_seen(b, v->log2t);
+    add_score(score, &one);
+    add_score(&out->ldr, &one);
+    add_score(seen ? &out->ldr_seen : &out->ldr_unseen, &one);
+    out->pictures[out->n_pictures++] =
+        (struct evaluate_picture){s->name, s->exposure, one.psnr, one.ssim, seen};
+    return measure_nearest(b, v);
 }
 
 /* ---- HDR ---- */
@@ -263,11 +279,28 @@ static void resize_image(const struct image *in, struct image *out)
         }
 }
 
+static err_t brightest(const struct image *in, double *out)
+{
+    return metrics_quantile(in->px, 3 * (size_t)in->w * (size_t)in->h, 0.99, out);
+}
+
 static err_t mu_law(const struct image *in, struct image *out)
 {
     double q;
-    err_t e = metrics_quantile(in->px, 3 * (size_t)in->w * (size_t)in->h, 0.99, &q);
+    err_t e = brightest(in, &q);
     return e ? e : metrics_mu_law(in, q, out);
+}
+
+/* Radiance against the truth in b->other, in stops; b->mu is room. */
+static err_t measure_stops(struct bench *b, const struct image *radiance)
+{
+    double top, stops = NAN;
+    err_t e = brightest(&b->other, &top);
+    if (!e && top > 0)
+        e = metrics_stops(radiance, &b->other, b->seen, top * exp2(-STOPS_BELOW), b->mu.px, &stops);
+    if (!e && isfinite(stops))
+        b->out->stops += (stops - b->out->stops) / ++b->out->n_stops;
+    return e;
 }
 
 static void hide_unseen(const struct bench *b, struct image *io)
@@ -317,10 +350,17 @@ static err_t measure_hdr(struct bench *b, const struct shot *s)
     exrfile_free(&file);
     hide_unseen(b, &b->other); // radiance is 0 there
     if (!e)
+        e = measure_stops(b, &radiance);
+    if (!e)
         e = mu_law(&b->other, &b->other);
     if (!e)
         e = mu_law(&radiance, &b->mu);
-    return e ? e : compare_picture(b, &b->mu, &b->other, &b->out->hdr);
+    struct evaluate_score one;
+    if (!e)
+        e = compare_picture(b, &b->mu, &b->other, &one);
+    if (!e)
+        add_score(&b->out->hdr, &one);
+    return e;
 }
 
 /* ---- pictures ---- */
@@ -551,7 +591,9 @@ void evaluate_plan(struct plan *p, const struct capture *test, struct prep_size 
     struct arena planes = arena_counter();
     struct gaussians g;
     struct bench b;
-    if (gaussians_init(&g, &planes, cap, 0) || layout(&b, &p->tmp, &most, &drawn, g.cap))
+    struct evaluate_picture *pictures;
+    if (gaussians_init(&g, &planes, cap, 0) || layout(&b, &p->tmp, &most, &drawn, g.cap) ||
+        arena_alloc(&p->keep, (size_t)test->n, sizeof *pictures, &pictures))
         plan_refuse(p);
     prep_plan(p, 1, most.at, prep_largest(test), size.edge);
     arena_step(&p->tmp, metrics_ssim_plan(most.w));
@@ -570,6 +612,8 @@ err_t evaluate_run(const struct run *r, struct job_result *j, const struct image
     struct extent most = largest_view(&test->capture, size);
     const struct extent drawn = largest_drawn(&test->capture, size, &most);
     err_t e = layout(&b, r->tmp, &most, &drawn, j->scene.g.cap);
+    if (!e)
+        e = arena_alloc(r->keep, (size_t)n, sizeof *out->pictures, &out->pictures);
     if (!e && j->scene.confidence)
         draw_confidence_set(&b.confidence, &j->scene);
     if (!e && o)

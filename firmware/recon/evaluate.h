@@ -3,9 +3,10 @@
  * Photographs through a lens that distorts are compared as they were taken (the pinhole that covers
  * the lens is drawn and resampled, distort.h), so the pixels do not depend on the lens that was
  * found; what lies beyond DISTORT_ANGLE does not count. Squares are compared undistorted.
- * HDR: both divided by their own 99 % quantile, clipped, mu-law. Per image, then the mean over all.
- * Beside it, what a lookup would score: the nearest input view, brought to the exposure of the test
- * picture by the recovered response; without input views (j->views) there is none. */
+ * HDR: both divided by their own 99 % quantile, clipped, mu-law; and in stops. Per image, then the
+ * mean over all. Beside it, what a lookup would score: the nearest input view, brought to the
+ * exposure of the test picture by the recovered response; without input views (j->views) there is
+ * none. */
 #ifndef RECON_EVALUATE_H
 #define RECON_EVALUATE_H
 
@@ -34,8 +35,20 @@ struct evaluate_trust {
     double pixels[2], squares[2]; // of all exposures; mean of the colours, display value^2
 };
 
+/* One test picture. */
+struct evaluate_picture {
+    const char *name;
+    double exposure, psnr, ssim;
+    bool seen; // an input photograph has this exposure
+};
+
 struct evaluate_result {
-    int views;                               // rendered
+    int views;                                  // rendered
+    struct evaluate_score ldr_seen, ldr_unseen; // at exposures that input photographs have, others
+    int n_pictures;
+    struct evaluate_picture *pictures; // (n_pictures) in r->keep
+    int n_stops;
+    double stops; // mean error of radiance over n_stops views (metrics.h); 0 of them: no radiance
     struct evaluate_score ldr, hdr, nearest; // n is 0 for hdr if the set has no radiance
     struct evaluate_trust trust;
     int n_exposures;

@@ -509,12 +509,22 @@ function measured() {
     [name, figure(`${key}.psnr`, db(report[key].psnr)),
       figure(`${key}.ssim`, fixed(report[key].ssim, 4)), String(report[key].images)];
   const rows = [row("photographs", "ldr"), row("radiance (mu-law, as in papers)", "hdr"),
+    row("photographs at exposures of the inputs", "ldr_seen_exposures"),
+    row("photographs at other exposures", "ldr_unseen_exposures"),
     row("nearest input view, for comparison", "baseline_nearest"),
     ...(report.per_exposure || []).map((e) =>
       [`photographs at exposure ${e.exposure}`, db(e.psnr), fixed(e.ssim, 4), ""])];
   const p = report.pose;
+  const list = [...(report.pictures || [])].sort((a, b) => a.psnr - b.psnr);
   section("measured", "Measured on views that were held back",
     table(["against", "PSNR", "SSIM", "pictures"], rows.filter(Boolean)),
+    known(report.hdr_stops) ? element("p", {}, "Radiance is ",
+      figure("hdr_stops", `${fixed(report.hdr_stops, 2)} stops`),
+      " off (root mean square).") : null,
+    list.length > 1 ? element("details", {},
+      element("summary", {}, `Every picture, worst first: ${list[0].name}`),
+      table(["picture", "exposure", "PSNR", "SSIM"], list.map((v) =>
+        [v.name, String(v.exposure), db(v.psnr), fixed(v.ssim, 4)]))) : null,
     p ? element("p", {}, `Cameras: median error ${fixed(p.rot_deg_median, 2)} degrees, ` +
       `${share(p.trans_rel_median)} of their spread.`) : null);
 }

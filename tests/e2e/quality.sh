@@ -8,6 +8,10 @@ grep -Eq '^LDR +[0-9.]+ +[0-9.]+ +20$' "$OUT/stdout.txt" || fail "no table on st
 at_least "LDR PSNR" "$(number "$OUT/eval.json" ldr psnr)" 25.5
 at_least "LDR SSIM" "$(number "$OUT/eval.json" ldr ssim)" 0.87
 at_least "HDR PSNR" "$(number "$OUT/eval.json" hdr psnr)" 28
+at_least "minus radiance's error, stops" \
+    "-$(sed -n 's/^  "hdr_stops": \([0-9.]*\).*/\1/p' "$OUT/eval.json")" -0.8
+[ "$(grep -c '"exposure_seen": ' "$OUT/eval.json")" -eq 20 ] || fail "not 20 pictures"
+grep -q '^worst: test_ldr_00[0-9]_[0-9].png, [0-9.]* dB$' "$OUT/stdout.txt" || fail "no worst one"
 nearest=$(number "$OUT/eval.json" baseline_nearest psnr)
 at_least "gain over the nearest view" \
     "$(awk -v a="$(number "$OUT/eval.json" ldr psnr)" -v b="$nearest" 'BEGIN { print a - b }')" 7
@@ -58,6 +62,8 @@ expect 1 'nowhere/scene.hdrig' eval --data "$OUT/set" --scene "$OUT/nowhere"
 succeed eval --data "$OUT/set" --size 56 --refine 0 --exposure-set 3 --json -
 grep -q '"views": 8,' "$OUT/stdout.txt" || fail "--exposure-set 3 has not one picture of each view"
 grep -q '"mid_exposure_log2": 0,' "$OUT/stdout.txt" || fail "--exposure-set 3 is not exposure 1"
+[ "$(number "$OUT/stdout.txt" ldr_seen_exposures images) $(number "$OUT/stdout.txt" \
+    ldr_unseen_exposures images)" = "4 16" ] || fail "exposures that no input has"
 expect 1 'exposure 6 requested, its pictures have 5' eval --data "$OUT/set" --exposure-set 1,6
 expect 2 '--exposure-set: "1;3" is not a list' eval --data "$OUT/set" --exposure-set '1;3'
 

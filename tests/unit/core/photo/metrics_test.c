@@ -229,6 +229,34 @@ static void mu_law_values(void **state)
     assert_int_equal(metrics_mu_law(&hdr, NAN, &out), ERR_ARG);
 }
 
+static void radiance_in_stops(void **state)
+{
+    (void)state;
+    static float room[PX_MAX];
+    struct image a, b;
+    double stops;
+    make_pair(20, 20, 0, &a, &b);
+    for (int i = 0; i < 1200; i++) { // a third a stop brighter, a third darker, all thrice
+        px_b[i] += 0.1f;
+        px_a[i] = 3 * px_b[i] * exp2f((float)(i % 3 - 1));
+    }
+    assert_int_equal(metrics_stops(&a, &b, NULL, 0.01, room, &stops), OK);
+    assert_true(fabs(stops - sqrt(2.0 / 3)) < 1e-5);
+    px_a[0] = 0; // as if `least`
+    px_b[2] = 0; // does not count
+    assert_int_equal(metrics_stops(&a, &b, NULL, 0.01, room, &stops), OK);
+    const double off = log2(0.01 / (double)px_b[0]) - log2(3);
+    assert_true(fabs(stops - sqrt((798 + off * off) / 1199)) < 1e-3);
+    assert_int_equal(metrics_stops(&a, &b, NULL, 2, room, &stops), OK);
+    assert_true(isnan(stops)); // no value counts
+    uint8_t seen[400] = {0};
+    seen[7] = 1; // its colours are a stop apart: 7, 407, 807
+    assert_int_equal(metrics_stops(&a, &b, seen, 0.01, room, &stops), OK);
+    assert_true(fabs(stops - sqrt(2.0 / 3)) < 1e-5);
+    px_a[3] = NAN;
+    assert_int_equal(metrics_stops(&a, &b, NULL, 0.01, room, &stops), ERR_ARG);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -236,6 +264,7 @@ int main(void)
         cmocka_unit_test(only_seen_pixels_count), cmocka_unit_test(pairs_are_refused),
         cmocka_unit_test(quantiles_equal_numpy),  cmocka_unit_test(quantiles_of_small_sets),
         cmocka_unit_test(quantiles_are_refused),  cmocka_unit_test(mu_law_values),
+        cmocka_unit_test(radiance_in_stops),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
