@@ -1,5 +1,8 @@
 /* Transfers wait in a ring; the thread starts them in the order in which they were begun, which is
- * the same on all ranks, and completes them in that order. */
+ * the same on all ranks, and completes them in that order.
+ * A machine whose cable or current is gone says nothing, and MPI would wait for it. So the thread
+ * of rank 0 and those of the others exchange a byte every BEAT_S, whatever their programs do; the
+ * last one says goodbye. */
 #include "drivers/net/mpi_shim.h"
 
 #include <errno.h>
@@ -14,6 +17,17 @@
 enum { RING = TEAM_PENDING + 1 };
 enum { LOOK_LEAST_NS = 20000, LOOK_MOST_NS = 200000 }; // between two looks at a transfer
 enum { CANCEL_NS = 200000000 };                        // between two looks at the cancel flag
+
+enum { BEAT_S = 2, SILENT_S = 30, IDLE_NS = 500000000 }; // IDLE_NS: looks without transfers
+enum { BEATS, GOODBYE };                                 // what a byte says
+
+/* Bytes to and from one other rank. */
+struct peer {
+    MPI_Request send, receive;
+    char out, in;
+    int64_t sent_ns, heard_ns;
+    bool left; // it has said goodbye
+};
 
 struct transfer {
     const char *out; // NULL: a gather in place
@@ -34,6 +48,8 @@ static struct {
     int rank, size;
     struct transfer ring[RING];
     unsigned begun, started, complete, waited; // transfers so far
+    MPI_Comm beats;
+    struct peer peer[TEAM_MAX]; // of rank 0: all others; of others: rank 0
     char text[256];
 } team = {.lock = PTHREAD_MUTEX_INITIALIZER};
 
@@ -51,6 +67,102 @@ static void fail_mpi(const char *what, int code)
     pthread_mutex_unlock(&team.lock);
 }
 
+static int64_t now_ns(void)
+{
+    struct timespec t;
+    clock_gettime(CLOCK_MONOTONIC, &t);
+    return (int64_t)t.tv_sec * 1000000000 + t.tv_nsec;
+}
+
+static bool has_peer(int rank)
+{
+    return rank != team.rank && (rank == 0 || team.rank == 0);
+}
+
+static int listen_to(int rank)
+{
+    struct peer *p = &team.peer[rank];
+    return MPI_Irecv(&p->in, 1, MPI_BYTE, rank, 0, team.beats, &p->receive);
+}
+
+static int open_beats(void)
+{
+    int code = MPI_Comm_dup(MPI_COMM_WORLD, &team.beats);
+    if (code == MPI_SUCCESS)
+        code = MPI_Comm_set_errhandler(team.beats, MPI_ERRORS_RETURN);
+    for (int i = 0; i < team.size && code == MPI_SUCCESS; i++) {
+        team.peer[i] = (struct peer){.send = MPI_REQUEST_NULL, .heard_ns = now_ns()};
+        if (has_peer(i))
+            code = listen_to(i);
+    }
+    return code;
+}
+
+/* Send to a rank when it is time, and hear it. */
+static int beat_with(int rank, char says, int64_t now)
+{
+    struct peer *p = &team.peer[rank];
+    int over, code = MPI_Test(&p->send, &over, MPI_STATUS_IGNORE);
+    if (code == MPI_SUCCESS && over && p->out != GOODBYE &&
+        (says == GOODBYE || now - p->sent_ns >= (int64_t)BEAT_S * 1000000000)) {
+        p->out = says;
+        p->sent_ns = now;
+        code = MPI_Isend(&p->out, 1, MPI_BYTE, rank, 0, team.beats, &p->send);
+    }
+    if (code != MPI_SUCCESS || p->left)
+        return code;
+    code = MPI_Test(&p->receive, &over, MPI_STATUS_IGNORE);
+    if (code != MPI_SUCCESS || !over)
+        return code;
+    p->heard_ns = now;
+    p->left = p->in == GOODBYE;
+    return p->left ? code : listen_to(rank);
+}
+
+static void fail_silent(int rank)
+{
+    pthread_mutex_lock(&team.lock);
+    snprintf(team.text, sizeof team.text, "rank %d has said nothing for %d s", rank, SILENT_S);
+    team.phase = FAILED;
+    pthread_cond_broadcast(&team.done);
+    pthread_mutex_unlock(&team.lock);
+}
+
+/* False if a rank is gone. */
+static bool beat(char says)
+{
+    const int64_t now = now_ns();
+    for (int i = 0; i < team.size; i++) {
+        if (!has_peer(i))
+            continue;
+        const int code = beat_with(i, says, now);
+        if (code != MPI_SUCCESS)
+            fail_mpi("a rank is gone", code);
+        else if (!team.peer[i].left && now - team.peer[i].heard_ns > (int64_t)SILENT_S * 1000000000)
+            fail_silent(i);
+        if (team.phase == FAILED)
+            return false;
+    }
+    return true;
+}
+
+/* Until all have heard the last of each other; what a rank leaves unheard would be an error. */
+static bool say_goodbye(void)
+{
+    const struct timespec pause = {0, LOOK_MOST_NS};
+    bool all = false;
+    while (!all) {
+        if (!beat(GOODBYE))
+            return false;
+        all = true;
+        for (int i = 0; i < team.size; i++)
+            all = all && (!has_peer(i) || (team.peer[i].left && team.peer[i].out == GOODBYE &&
+                                           team.peer[i].send == MPI_REQUEST_NULL));
+        nanosleep(&pause, NULL);
+    }
+    return true;
+}
+
 static bool start_mpi(void)
 {
     int level;
@@ -61,6 +173,8 @@ static bool start_mpi(void)
         code = MPI_Comm_rank(MPI_COMM_WORLD, &team.rank);
     if (code == MPI_SUCCESS)
         code = MPI_Comm_size(MPI_COMM_WORLD, &team.size);
+    if (code == MPI_SUCCESS && team.size <= TEAM_MAX)
+        code = open_beats();
     if (code != MPI_SUCCESS) {
         fail_mpi("it does not start", code);
         return false;
@@ -115,27 +229,43 @@ static bool serve_transfers(unsigned begun, bool *advanced)
     return true;
 }
 
+static struct timespec after(int64_t ns)
+{
+    const int64_t at = now_ns() + ns;
+    return (struct timespec){at / 1000000000, at % 1000000000};
+}
+
+/* Sleep until there is a transfer, for a while. returns: transfers begun so far. */
+static unsigned wait_for_work(bool *quit)
+{
+    const struct timespec until = after(IDLE_NS);
+    pthread_mutex_lock(&team.lock);
+    if (team.complete == team.begun && !team.quit)
+        pthread_cond_timedwait(&team.work, &team.lock, &until);
+    const unsigned begun = team.begun;
+    *quit = team.quit;
+    pthread_mutex_unlock(&team.lock);
+    return begun;
+}
+
 static void *call_mpi(void *arg)
 {
     struct timespec pause = {0, LOOK_LEAST_NS};
-    bool on = start_mpi(), advanced;
+    bool on = start_mpi() && team.size <= TEAM_MAX, advanced, quit;
     (void)arg;
     while (on) {
-        pthread_mutex_lock(&team.lock);
-        while (team.complete == team.begun && !team.quit)
-            pthread_cond_wait(&team.work, &team.lock);
-        const unsigned begun = team.begun;
-        const bool quit = team.quit;
-        pthread_mutex_unlock(&team.lock);
+        const unsigned begun = wait_for_work(&quit);
         if (quit)
             break;
-        on = serve_transfers(begun, &advanced);
+        on = beat(BEATS) && serve_transfers(begun, &advanced);
+        if (!on || team.complete == team.started)
+            continue;
         if (advanced)
             pause.tv_nsec = LOOK_LEAST_NS;
         else if (nanosleep(&pause, NULL) == 0 && pause.tv_nsec < LOOK_MOST_NS)
             pause.tv_nsec += pause.tv_nsec / 2;
     }
-    if (on && !team.aborts)
+    if (on && !team.aborts && say_goodbye())
         MPI_Finalize();
     return NULL;
 }
@@ -159,11 +289,7 @@ static err_t wait_for(bool (*ready)(void))
     err_t e = OK;
     pthread_mutex_lock(&team.lock);
     while (!e && team.phase != FAILED && !ready()) {
-        struct timespec until;
-        clock_gettime(CLOCK_MONOTONIC, &until);
-        until.tv_nsec += CANCEL_NS;
-        until.tv_sec += until.tv_nsec / 1000000000;
-        until.tv_nsec %= 1000000000;
+        const struct timespec until = after(CANCEL_NS);
         pthread_cond_timedwait(&team.done, &team.lock, &until);
         if (team.cancel && atomic_load(team.cancel))
             e = refuse(ERR_CANCELLED, "ranks: cancelled");
@@ -189,7 +315,7 @@ static err_t open_team(const atomic_bool *cancel, int *rank, int *size)
     pthread_condattr_t monotonic;
     pthread_condattr_init(&monotonic);
     pthread_condattr_setclock(&monotonic, CLOCK_MONOTONIC);
-    pthread_cond_init(&team.work, NULL);
+    pthread_cond_init(&team.work, &monotonic);
     pthread_cond_init(&team.done, &monotonic);
     team.cancel = cancel;
     if (pthread_create(&team.thread, NULL, call_mpi, NULL) != 0)

@@ -124,6 +124,19 @@ static err_t check_launcher(const char *launcher, char out[CONFIG_TEXT])
     return OK;
 }
 
+/* Open MPI 4 and 5 would look for a machine without current after five minutes only. What the user
+ * has set stays. */
+static void hasten_launcher(void)
+{
+    static const char *const set[][2] = {{"time", "10"}, {"intvl", "5"}, {"probes", "4"}};
+    char name[64];
+    for (int i = 0; i < 6; i++) {
+        snprintf(name, sizeof name, "%s_MCA_oob_tcp_keepalive_%s", i < 3 ? "OMPI" : "PRTE",
+                 set[i % 3][0]);
+        setenv(name, set[i % 3][1], 0);
+    }
+}
+
 err_t jobs_open(const struct jobs_config *cfg, struct jobs **out)
 {
     struct jobs *j = calloc(1, sizeof *j);
@@ -139,6 +152,8 @@ err_t jobs_open(const struct jobs_config *cfg, struct jobs **out)
         e = copy_path("--config", cfg->config, j->config);
     if (!e && cfg->launcher)
         e = check_launcher(cfg->launcher, j->launcher);
+    if (j->launcher[0])
+        hasten_launcher();
     if (!e)
         e = make_folder(j->results);
     if (!e)

@@ -115,4 +115,13 @@ for mpi in mpirun.openmpi mpirun.mpich; do
     [ ! -e bad ] || fail "$mpi: a result in spite of Ctrl-C"
     ! pgrep -f "$long" >pids.txt || fail "$mpi: ranks go on: $(cat pids.txt)"
 done
+
+# a machine without current says nothing, and nobody would tell the others
+begin $open_mpi
+kill -STOP "$(pgrep -f "$long" | tail -n 1)"
+timeout 60 tail --pid $launcher -f /dev/null || fail "ranks wait for one that says nothing"
+grep -Eq 'rank 0 of 2: rank 1 has said nothing for 30 s' "$ERR" ||
+    fail "a rank that says nothing: $(grep hdrig "$ERR")"
+[ ! -e bad ] || fail "a result in spite of a silent rank"
+! pgrep -f "$long" >pids.txt || fail "ranks go on: $(cat pids.txt)"
 finish

@@ -74,12 +74,13 @@ static void a_launcher_starts_the_program(void **state)
     char text[300];
     (void)state;
     launcher = "env  HOSTS=2 nice ";
-    open_with("#!/bin/sh\necho \"$HOSTS $1 $2\" >&2\n");
+    open_with("#!/bin/sh\necho \"$HOSTS $1 $2 "
+              "$OMPI_MCA_oob_tcp_keepalive_time $PRTE_MCA_oob_tcp_keepalive_probes\" >&2\n");
     launcher = NULL;
     assert_int_equal(jobs_add(j, "take-1"), OK);
     run_until(NULL);
     assert_int_equal(s.last, JOBS_DONE);
-    assert_string_equal(s.last_line, "2 reconstruct --images");
+    assert_string_equal(s.last_line, "2 reconstruct --images 10 4");
     jobs_close(j);
     memset(text, 0, sizeof text);
     for (int i = 0; i < 33; i++)
