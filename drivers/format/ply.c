@@ -1,6 +1,7 @@
 /* Reading: the header becomes a table of properties with their offset in a row; that table becomes
- * one source (offset and kind) per plane of struct gaussians; then every row is read through the
- * sources. Where there are two kinds of colours, some splats tell whether they still agree. */
+ * one source (offset and kind) per plane of struct gaussians; then every row (plyrows.h) is read
+ * through the sources. Where there are two kinds of colours, some splats tell whether they still
+ * agree. */
 #include "drivers/format/ply.h"
 
 #include "core/base/bytes.h"
@@ -8,6 +9,7 @@
 #include "core/base/num.h"
 #include "core/splat/display.h"
 #include "drivers/format/file.h"
+#include "drivers/format/plyrows.h"
 
 #include <math.h>
 #include <stdlib.h>
@@ -15,7 +17,6 @@
 
 enum {
     HEADER_MAX = 65536, // bytes; viewers stop at 10 kB to 64 kB
-    PROPERTIES_MAX = 512,
     WORD_CAP = 32,
     LINE_WORDS = 5, // property list uchar int vertex_indices
     SHOWN_COEFS_MAX = (DISPLAY_DEGREE_MAX + 1) * (DISPLAY_DEGREE_MAX + 1),
@@ -124,14 +125,6 @@ err_t ply_write(const char *path, const struct scene *s)
 
 /* ---- the header ---- */
 
-static const struct type {
-    const char *name;
-    int bytes;
-} types[] = {{"float", 4}, {"float32", 4}, {"ushort", 2}, {"uint16", 2}, {"char", 1}, {"int8", 1},
-             {"uchar", 1}, {"uint8", 1},   {"short", 2},  {"int16", 2},  {"int", 4},  {"int32", 4},
-             {"uint", 4},  {"uint32", 4},  {"double", 8}, {"float64", 8}};
-enum { TYPE_FLOAT = 0, TYPE_USHORT = 2, N_TYPES = sizeof types / sizeof types[0] };
-
 struct property {
     char name[WORD_CAP];
     int type;      // index in types
@@ -140,12 +133,12 @@ struct property {
 
 struct header {
     size_t bytes; // size of the header
-    size_t row;   // bytes
-    int n_rows, n;
+    int n;
     bool has_format, in_vertex, past_vertex;
     bool has_ev;
     float ev; // from the comment
-    struct property v[PROPERTIES_MAX];
+    struct property v[PLYROWS_CELLS_MAX];
+    struct plyrows rows;
 };
 
 struct words {
@@ -190,21 +183,19 @@ static err_t take_property(const char *what, const struct words *w, struct heade
 {
     if (!word_is(w, 3, "property"))
         return err_fail(ERR_UNSUPPORTED, "%s: lists in the vertex element are not read", what);
-    int type = 0;
-    while (type < N_TYPES && strcmp(types[type].name, w->v[1]) != 0)
-        type++;
-    if (type == N_TYPES)
+    const int type = plyrows_type(w->v[1]);
+    if (type < 0)
         return err_fail(ERR_FORMAT, "%s: property %s has the unknown type %s", what, w->v[2],
                         w->v[1]);
-    if (h->n == PROPERTIES_MAX)
-        return err_fail(ERR_FORMAT, "%s: more than %d properties", what, PROPERTIES_MAX);
+    if (h->n == PLYROWS_CELLS_MAX)
+        return err_fail(ERR_FORMAT, "%s: more than %d properties", what, PLYROWS_CELLS_MAX);
     if (find_property(h, w->v[2]))
         return err_fail(ERR_FORMAT, "%s: property %s is there twice", what, w->v[2]);
-    struct property *p = &h->v[h->n++];
+    struct property *p = &h->v[h->n];
     memcpy(p->name, w->v[2], WORD_CAP);
-    p->type = type;
-    p->offset = h->row;
-    h->row += (size_t)types[type].bytes;
+    p->type = h->rows.type[h->n++] = type;
+    p->offset = h->rows.row;
+    h->rows.row += plyrows_type_bytes(type);
     return OK;
 }
 
@@ -227,21 +218,27 @@ static err_t take_element(const char *what, const struct words *w, struct header
     if (n > GAUSSIANS_MAX)
         return err_fail(ERR_FORMAT, "%s: %s splats, at most %d are read", what, w->v[2],
                         GAUSSIANS_MAX);
-    h->n_rows = (int)n;
+    h->rows.n = (int)n;
     h->in_vertex = true;
     return OK;
 }
 
+static err_t take_format(const char *what, const struct words *w, struct header *h)
+{
+    static const char *const names[] = {"ascii", "binary_little_endian", "binary_big_endian"};
+    for (int k = PLYROWS_ASCII; k <= PLYROWS_BIG; k++)
+        if (strcmp(w->v[1], names[k]) == 0 && strcmp(w->v[2], "1.0") == 0) {
+            h->rows.kind = (enum plyrows_kind)k;
+            h->has_format = true;
+            return OK;
+        }
+    return err_fail(ERR_UNSUPPORTED, "%s: format %s %s is none of PLY 1.0", what, w->v[1], w->v[2]);
+}
+
 static err_t take_line(const char *what, const struct words *w, struct header *h)
 {
-    if (word_is(w, 3, "format")) {
-        if (strcmp(w->v[1], "binary_little_endian") != 0 || strcmp(w->v[2], "1.0") != 0)
-            return err_fail(ERR_UNSUPPORTED,
-                            "%s: format %s %s, only binary_little_endian 1.0 is read", what,
-                            w->v[1], w->v[2]);
-        h->has_format = true;
-        return OK;
-    }
+    if (word_is(w, 3, "format"))
+        return take_format(what, w, h);
     if (word_is(w, 3, "element"))
         return take_element(what, w, h);
     if (w->n > 0 && strcmp(w->v[0], "property") == 0)
@@ -315,12 +312,11 @@ static err_t read_header(const struct splats_bytes *file, struct header *h)
     if (!h->has_format || !(h->in_vertex || h->past_vertex))
         return err_fail(ERR_FORMAT, "%s: the header lacks a format or a vertex element",
                         file->what);
-    size_t body;
-    if (!bytes_mul((size_t)h->n_rows, h->row, &body) || body > file->n - h->bytes)
-        return err_fail(ERR_FORMAT,
-                        "%s: %d splats of %zu bytes, the file has %zu bytes after its header",
-                        file->what, h->n_rows, h->row, file->n - h->bytes);
-    return OK;
+    h->rows.what = file->what;
+    h->rows.p = (const uint8_t *)file->p + h->bytes;
+    h->rows.bytes = file->n - h->bytes;
+    h->rows.n_cells = h->n;
+    return plyrows_check(&h->rows);
 }
 
 /* ---- sources of the planes ---- */
@@ -338,7 +334,7 @@ static err_t find_source(const char *what, const struct header *h, const char *n
         return err_fail(ERR_FORMAT, "%s: no property %s", what, name);
     if (p->type / 2 != type / 2) // names of a type come in pairs
         return err_fail(ERR_FORMAT, "%s: property %s is %s, expected %s", what, name,
-                        types[p->type].name, types[type].name);
+                        plyrows_type_name(p->type), plyrows_type_name(type));
     *offset = p->offset;
     return OK;
 }
@@ -358,7 +354,7 @@ static err_t find_degree(const char *what, const struct header *h, int n_log,
 {
     int n_rest = count_numbered(h, "f_rest_");
     out->has_hdr = n_log > 0;
-    out->n = h->n_rows;
+    out->n = h->rows.n;
     out->ev = h->ev;
     int numbers = out->has_hdr ? n_log : n_rest + 3;
     for (out->degree = 0; out->degree <= SH_DEGREE_MAX; out->degree++)
@@ -390,11 +386,11 @@ static err_t find_sources(const char *what, const struct header *h, int n_log, s
     memset(out, 0, sizeof *out);
     err_t e = find_degree(what, h, n_log, &out->info);
     for (int p = 0; p < G_SH && !e; p++)
-        e = find_source(what, h, names[p], TYPE_FLOAT, &out->offset[p]);
+        e = find_source(what, h, names[p], PLYROWS_TYPE_FLOAT, &out->offset[p]);
     for (int j = 0; !e && j < 3 * coefs_of(out->info.degree); j++) {
         char name[WORD_CAP];
         sh_name(&out->info, j / 3, j % 3, name);
-        e = find_source(what, h, name, out->info.has_hdr ? TYPE_USHORT : TYPE_FLOAT,
+        e = find_source(what, h, name, out->info.has_hdr ? PLYROWS_TYPE_USHORT : PLYROWS_TYPE_FLOAT,
                         &out->offset[G_SH + j]);
     }
     return e;
@@ -440,16 +436,14 @@ static void take_row(const struct sources *s, const uint8_t *row, float ev, int 
  * ours both agree to within half floats, so a sample of splats shows whether they still do. */
 struct both {
     const struct sources *radiance, *shown;
-    const uint8_t *rows;
-    size_t row; // bytes
-    int n;
+    struct plyrows *rows;
 };
 
 /* Display harmonics of splat i from its radiance at ev, and those of the file. */
 static void read_both(const struct both *b, int i, float ev, float made[3 * SH_COEFS_MAX],
                       float shown[3 * SH_COEFS_MAX])
 {
-    const uint8_t *row = b->rows + (size_t)i * b->row;
+    const uint8_t *row = plyrows_get(b->rows, i);
     float log_sh[3 * SH_COEFS_MAX];
     take_colours(b->radiance, row, log_sh);
     take_colours(b->shown, row, shown);
@@ -466,7 +460,7 @@ static bool find_ev(const struct both *b, float *out)
     for (int t = 0; t < TRIED; t++) {
         float low = -EV_FOUND_MAX, high = EV_FOUND_MAX, v = 0;
         for (int k = 0; k < HALVINGS; k++, v = (low + high) / 2) {
-            read_both(b, (int)((int64_t)t * b->n / TRIED), v, made, shown);
+            read_both(b, (int)((int64_t)t * b->rows->n / TRIED), v, made, shown);
             low = made[1] < shown[1] ? v : low;
             high = made[1] < shown[1] ? high : v;
         }
@@ -482,14 +476,14 @@ static bool find_ev(const struct both *b, float *out)
 static bool is_stale(const struct both *b, float ev)
 {
     enum { LOOKED_AT = 100 };
-    int n = b->n < LOOKED_AT ? b->n : LOOKED_AT, wrong = 0;
+    int n = b->rows->n < LOOKED_AT ? b->rows->n : LOOKED_AT, wrong = 0;
     int degree = shown_degree(b->radiance->info.degree);
     if (b->shown->info.degree < degree)
         degree = b->shown->info.degree;
     for (int t = 0; t < n; t++) {
         float made[3 * SH_COEFS_MAX], shown[3 * SH_COEFS_MAX];
         double off = 0, size = 0;
-        read_both(b, (int)((int64_t)t * b->n / n), ev, made, shown);
+        read_both(b, (int)((int64_t)t * b->rows->n / n), ev, made, shown);
         for (int j = 0; j < 3 * coefs_of(degree); j++) {
             double v = (double)made[j] + (j < 3 ? SHOWN_MIDDLE : 0);
             off += pow((double)made[j] - (double)shown[j], 2);
@@ -508,9 +502,9 @@ static err_t open_file(const struct splats_bytes *file, struct header *h, struct
     err_t e = read_header(file, h);
     if (!e)
         e = find_sources(file->what, h, count_numbered(h, "ihdr_log_"), out);
-    if (e || !out->info.has_hdr || h->n_rows == 0 || find_sources(file->what, h, 0, &shown) != OK)
+    if (e || !out->info.has_hdr || h->rows.n == 0 || find_sources(file->what, h, 0, &shown) != OK)
         return e;
-    const struct both both = {out, &shown, (const uint8_t *)file->p + h->bytes, h->row, h->n_rows};
+    const struct both both = {out, &shown, &h->rows};
     float ev = h->ev;
     if ((h->has_ev || find_ev(&both, &ev)) && is_stale(&both, ev)) {
         *out = shown;
@@ -542,9 +536,8 @@ static err_t parse_ply(const struct splats_bytes *file, float ev, struct arena *
         e = gaussians_init(g, a, s.info.n, s.info.degree);
     if (e)
         return e;
-    const uint8_t *row = (const uint8_t *)file->p + h.bytes;
-    for (int i = 0; i < s.info.n; i++, row += h.row)
-        take_row(&s, row, ev, i, g);
+    for (int i = 0; i < s.info.n; i++)
+        take_row(&s, plyrows_get(&h.rows, i), ev, i, g);
     g->n = s.info.n;
     gaussians_sanitize(g, report);
     return OK;

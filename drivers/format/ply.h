@@ -21,12 +21,11 @@
  *       named), ERR_IO, ERR_LIMIT (no space). The partial file is removed. */
 MUST_USE err_t ply_write(const char *path, const struct scene *s);
 
-/* Reads binary little-endian 3DGS files: properties of the vertex element in any order, unknown
- * ones skipped, later elements ignored; SH of degree 0 to 4. Radiance is in ihdr_log_*, display
- * colours in f_dc and f_rest; ev is that of the comment or, where both are there, what brings the
- * one to the other.
- * err:  ERR_FORMAT (the property is named), ERR_UNSUPPORTED (ascii, big-endian, lists, SH degree),
- *       ERR_NOMEM. */
+/* Reads 3DGS files, binary of either byte order or text: properties of the vertex element in any
+ * order, unknown ones skipped, later elements ignored; SH of degree 0 to 4. Radiance is in
+ * ihdr_log_*, display colours in f_dc and f_rest; ev is that of the comment or, where both are
+ * there, what brings the one to the other.
+ * err:  ERR_FORMAT (the property is named), ERR_UNSUPPORTED (lists, SH degree), ERR_NOMEM. */
 extern const struct splats_format ply_format;
 
 #endif

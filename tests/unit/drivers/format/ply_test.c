@@ -369,6 +369,7 @@ static size_t make_foreign(const struct foreign *f, char *out)
 }
 
 #define HEAD "ply\nformat binary_little_endian 1.0\n"
+#define ASCII "ply\nformat ascii 1.0\n"
 
 static void foreign_files_are_taken_as_srgb(void **state)
 {
@@ -405,6 +406,64 @@ static void foreign_files_are_taken_as_srgb(void **state)
         assert_true(g.plane[G_QUAT][0] == 1 && g.plane[G_QUAT + 1][0] == 0);
         for (int j = 0; j < 3 * coefs; j++)
             assert_true(g.plane[G_SH + j][0] == want[j]);
+    }
+}
+
+/* ---- text, and the other byte order ---- */
+
+/* The binary file `m` of floats, then ushorts, as another kind. */
+static size_t transcode(const struct file_map *m, const char *kind, int n_floats, char *out)
+{
+    static const char was[] = "binary_little_endian";
+    const char *text = (const char *)m->p;
+    const size_t head = header_bytes(m), at = (size_t)((char *)memmem(text, head, was, 20) - text);
+    char *p = out + sprintf(out, "%.*s%s%.*s", (int)at, text, kind, (int)(head - at - 20),
+                            text + at + 20);
+    struct bytes b = bytes_of(m->p + head, m->n - head);
+    const size_t row = (size_t)atoi(strstr(text, "element vertex ") + 15);
+    const size_t each = b.left / row;
+    while (b.left > 0) {
+        const bool is_float = (b.left - 1) % each >= each - 4 * (size_t)n_floats;
+        uint8_t big[4];
+        const size_t bytes = is_float ? 4 : 2;
+        for (size_t k = 0; k < bytes; k++)
+            big[k] = b.p[bytes - 1 - k];
+        if (kind[0] == 'a' && is_float)
+            p += sprintf(p, "%.9g ", (double)bytes_f32(&b));
+        else if (kind[0] == 'a')
+            p += sprintf(p, "%u%c", bytes_u16(&b), b.left % each ? '\t' : '\n');
+        else
+            p = (char *)memcpy(p, big, bytes) + (bytes_take(&b, bytes) ? bytes : 0);
+    }
+    return (size_t)(p - out);
+}
+
+static void other_encodings_are_the_same_file(void **state)
+{
+    (void)state;
+    static const char *const kinds[] = {"ascii", "binary_big_endian"};
+    for (int degree = 0; degree <= SH_DEGREE_MAX; degree++) {
+        struct scene in = make(21, degree);
+        struct file_map m;
+        const int shown = degree < 3 ? degree : 3;
+        const char *path = tmpdir_path("little.ply");
+        assert_int_equal(ply_write(path, &in), OK);
+        assert_int_equal(file_map(path, 1 << 20, &m), OK);
+        char *copy = malloc(8 * m.n);
+        for (size_t k = 0; k < 2; k++) {
+            const size_t n = transcode(&m, kinds[k], 14 + 3 * (shown + 1) * (shown + 1), copy);
+            const struct splats_bytes file = {"other", copy, n};
+            struct splats_info info;
+            struct gaussians g;
+            struct gaussians_report report;
+            assert_int_equal(ply_format.peek(&file, &info), OK);
+            assert_true(info.n == 21 && info.has_hdr && !info.hdr_stale);
+            assert_int_equal(ply_format.parse(&file, 0, &arena, &g, &report), OK);
+            for (int p = 0; p < gaussians_planes(degree); p++)
+                assert_memory_equal(g.plane[p], in.g.plane[p], 21 * sizeof(float));
+        }
+        free(copy);
+        file_unmap(&m);
     }
 }
 
@@ -567,8 +626,18 @@ static void hostile_headers_are_refused(void **state)
     } wrong[] = {
         {"", "no end", ERR_FORMAT},
         {"plz\n", "not a PLY", ERR_FORMAT},
-        {"ply\nformat ascii 1.0\n", "ascii", ERR_UNSUPPORTED},
-        {"ply\nformat binary_big_endian 1.0\n", "big_endian", ERR_UNSUPPORTED},
+        {"ply\nformat ascii 2.0\n", "ascii 2.0", ERR_UNSUPPORTED},
+        {"ply\nformat binary_pdp_endian 1.0\n", "pdp_endian", ERR_UNSUPPORTED},
+        {ASCII "element vertex 2\nproperty float x\nend_header\n1\n", "row 1 of 2 has no number 0",
+         ERR_FORMAT},
+        {ASCII "element vertex 1\nproperty float x\nend_header\n1.5.2\n",
+         "number 0 is \"1.5.2\", expected float", ERR_FORMAT},
+        {ASCII "element vertex 1\nproperty int x\nproperty ushort y\nend_header\n-7 65536\n",
+         "number 1 is \"65536\", expected ushort", ERR_FORMAT},
+        {ASCII "element vertex 1\nproperty uint16 y\nend_header\n-1\n", "\"-1\"", ERR_FORMAT},
+        {ASCII "element vertex 1\nproperty float x\nend_header\n"
+               "1.00000000000000000000000000000000000000000000000000000000000000000000000000\n",
+         "no number 0", ERR_FORMAT},
         {HEAD "end_header\n", "lacks", ERR_FORMAT},
         {HEAD "element vertex -1\n", "\"-1\"", ERR_FORMAT},
         {HEAD "element vertex 99999999999999999999\n", "999 splats", ERR_FORMAT},
@@ -625,6 +694,7 @@ int main(void)
         cmocka_unit_test(pictures_of_the_file_are_those_of_the_scene),
         cmocka_unit_test(bad_splats_are_not_written),
         cmocka_unit_test(foreign_files_are_taken_as_srgb),
+        cmocka_unit_test(other_encodings_are_the_same_file),
         cmocka_unit_test(colours_that_were_turned_are_believed),
         cmocka_unit_test(nothing_else_is_taken_for_turned),
         cmocka_unit_test(hostile_headers_are_refused),
