@@ -8,6 +8,7 @@
 
 #include "core/base/bytes.h"
 #include "core/base/num.h"
+#include "core/base/rotation.h"
 #include "core/splat/display.h"
 #include "drivers/format/file.h"
 #include "drivers/format/json.h"
@@ -36,7 +37,7 @@ enum {
     TYPE_FLOAT,
     BATCH = 2048,
     STRIDE_MAX = 252,
-    RADIANCE_VERSION = 1,
+    RADIANCE_VERSION = 2,
     ATTRIBUTES_MAX = 5 + (DISPLAY_DEGREE_MAX + 1) * (DISPLAY_DEGREE_MAX + 1) + SH_COEFS_MAX
 };
 
@@ -74,28 +75,27 @@ static struct attribute *add_attribute(struct list *l, enum source source, int c
     return a;
 }
 
-static void add_harmonics(struct list *l, enum source source, int degree)
+static void add_harmonics(struct list *l, enum source source, int degree, const char *prefix)
 {
     for (int band = 0; band <= degree; band++)
         for (int k = 0; k < 2 * band + 1; k++) {
             struct attribute *a = add_attribute(l, source, 3, "");
             a->harmonic = band * band + k;
-            snprintf(a->name, sizeof a->name, "%s:SH_DEGREE_%d_COEF_%d",
-                     source == DISPLAY ? SPLATTING : RADIANCE, band, k);
+            snprintf(a->name, sizeof a->name, "%s:SH_DEGREE_%d_COEF_%d", prefix, band, k);
         }
 }
 
 /* degree: of the display colours; radiance: -1 = none. */
-static void make_list(struct list *l, int degree, int radiance)
+static void make_list(struct list *l, int degree, int radiance, int version)
 {
     l->n = 0;
     add_attribute(l, POSITION, 3, "POSITION");
     add_attribute(l, ROTATION, 4, SPLATTING ":ROTATION");
     add_attribute(l, SCALE, 3, SPLATTING ":SCALE");
     add_attribute(l, OPACITY, 1, SPLATTING ":OPACITY");
-    add_harmonics(l, DISPLAY, degree);
+    add_harmonics(l, DISPLAY, degree, SPLATTING);
     if (radiance >= 0)
-        add_harmonics(l, LOG_RADIANCE, radiance);
+        add_harmonics(l, LOG_RADIANCE, radiance, version == 1 ? RADIANCE : "_" RADIANCE);
 }
 
 static int bytes_of_type(int type)
@@ -155,12 +155,43 @@ static void put_accessors(FILE *f, const struct gaussians *g, const struct list 
     putc(']', f);
 }
 
+/* The first view, where viewers may begin. glTF's cameras look along -z with y up: their turn is
+ * k conj(q) i, k and i being the half turns that change the axes of the world and of cameras. */
+static void put_camera(FILE *f, const struct camera *c, const char *name)
+{
+    double at[3], length = 0;
+    for (int k = 0; k < 4; k++)
+        length += (double)c->q[k] * (double)c->q[k];
+    length = sqrt(length);
+    rotation_centre(c, at);
+    fputs(",{\"camera\":0,\"name\":", f);
+    json_put_string(f, name);
+    fprintf(f, ",\"translation\":[%.9g,%.9g,%.9g],\"rotation\":[%.9g,%.9g,%.9g,%.9g]}],", -at[0],
+            -at[1], at[2], (double)c->q[3] / length, (double)c->q[0] / length,
+            (double)c->q[1] / length, -(double)c->q[2] / length);
+    fprintf(f,
+            "\"cameras\":[{\"type\":\"perspective\",\"perspective\":{\"yfov\":%.9g,"
+            "\"aspectRatio\":%.9g,\"znear\":0.01}}],",
+            2 * atan(c->h / (2 * (double)c->fy)), (double)c->w / c->h);
+}
+
+static void put_nodes(FILE *f, const struct scene *s)
+{
+    fprintf(f, "\"scene\":0,\"scenes\":[{\"nodes\":[0%s]}],\"nodes\":[{\"mesh\":0}",
+            s->n_views > 0 ? ",1" : "");
+    if (s->n_views > 0)
+        put_camera(f, &s->cams[0], s->names[0]);
+    else
+        fputs("],", f);
+}
+
 static void put_json(FILE *f, const struct scene *s, const struct list *l)
 {
     fputs("{\"asset\":{\"version\":\"2.0\",\"generator\":\"hdrig\"},\"extensionsUsed\":["
-          "\"" SPLATTING "\",\"" RADIANCE "\"],\"scene\":0,\"scenes\":[{\"nodes\":[0]}],"
-          "\"nodes\":[{\"mesh\":0}],\"meshes\":[{\"primitives\":[{\"mode\":0,\"attributes\":{",
+          "\"" SPLATTING "\",\"" RADIANCE "\"],",
           f);
+    put_nodes(f, s);
+    fputs("\"meshes\":[{\"primitives\":[{\"mode\":0,\"attributes\":{", f);
     for (int i = 0; i < l->n; i++)
         fprintf(f, "%s\"%s\":%d", i ? "," : "", l->a[i].name, i);
     fprintf(f,
@@ -325,7 +356,8 @@ err_t glb_write(const char *path, const struct scene *s)
         return e;
     if (g->n == 0)
         return err_fail(ERR_ARG, "%s: a scene without splats: glTF holds at least one", path);
-    make_list(&l, g->degree < DISPLAY_DEGREE_MAX ? g->degree : DISPLAY_DEGREE_MAX, g->degree);
+    make_list(&l, g->degree < DISPLAY_DEGREE_MAX ? g->degree : DISPLAY_DEGREE_MAX, g->degree,
+              RADIANCE_VERSION);
     struct attribute *colour = add_attribute(&l, COLOUR_0, 4, "COLOR_0");
     colour->type = TYPE_USHORT;
     colour->normalized = true;
@@ -424,7 +456,7 @@ static err_t check_document(const struct layout *l)
     const struct cJSON *nodes = json_member(l->json, "nodes");
     for (const struct cJSON *v = nodes ? json_first(nodes) : NULL; v; v = json_next(v))
         for (int k = 0; k < 4; k++)
-            if (json_member(v, moves[k]))
+            if (json_member(v, moves[k]) && (json_member(v, "mesh") || json_member(v, "children")))
                 return err_fail(ERR_UNSUPPORTED, "%s: a node has a %s: moved scenes are not read",
                                 l->what, moves[k]);
     return OK;
@@ -488,20 +520,20 @@ static err_t take_extension(struct layout *l, const struct cJSON *primitive)
         display = d <= DISPLAY_DEGREE_MAX && json_member(attributes, name) ? d : display;
     }
     if (e || !radiance) {
-        make_list(&l->list, display, -1);
+        make_list(&l->list, display, -1, 0);
         l->info.degree = display;
         return e;
     }
     e = get_index(l->what, radiance, "version", NULL, &version);
-    if (!e && version != RADIANCE_VERSION)
-        e = err_fail(ERR_UNSUPPORTED, "%s: " RADIANCE " of version %zu, %d is read", l->what,
+    if (!e && (version < 1 || version > RADIANCE_VERSION))
+        e = err_fail(ERR_UNSUPPORTED, "%s: " RADIANCE " of version %zu, 1 to %d are read", l->what,
                      version, RADIANCE_VERSION);
     if (!e)
         e = get_index(l->what, radiance, "degree", NULL, &degree);
     if (!e && (degree > SH_DEGREE_MAX || !json_number(json_member(radiance, "ev"), &ev) ||
                !(fabs(ev) <= 128)))
         e = err_fail(ERR_FORMAT, "%s: " RADIANCE ": degree %zu, ev %g", l->what, degree, ev);
-    make_list(&l->list, 0, e ? -1 : (int)degree);
+    make_list(&l->list, 0, e ? -1 : (int)degree, (int)version);
     l->info.degree = (int)degree;
     l->info.has_hdr = true;
     l->info.ev = (float)ev;
@@ -664,11 +696,6 @@ static int plane_of(const struct attribute *a, int k)
     }
 }
 
-static float log_scale(float v)
-{
-    return isfinite(v) ? fmaxf((float)log((double)v), GAUSSIANS_LOG_SCALE_MIN) : NAN;
-}
-
 static float logit(float v)
 {
     double a = fmin(fmax((double)v, 1e-9), 1 - 1e-9);
@@ -687,7 +714,9 @@ static err_t read_attribute(const struct layout *l, const struct attribute *a, s
                 return err_fail(ERR_FORMAT,
                                 "%s: %s of splat %d is %g: negative, as in drafts of the extension",
                                 l->what, a->name, i, (double)v);
-            out[i] = a->source == SCALE ? log_scale(v) : a->source == OPACITY ? logit(v) : v * sign;
+            out[i] = a->source == SCALE     ? splats_log_scale(v)
+                     : a->source == OPACITY ? logit(v)
+                                            : v * sign;
         }
     }
     return OK;

@@ -3,6 +3,7 @@
  * coordinate (sh_body.h has the polynomials). */
 #include "drivers/format/splats.h"
 
+#include "core/base/num.h"
 #include "core/splat/display.h"
 #include "drivers/format/file.h"
 
@@ -67,6 +68,21 @@ int splats_sign(int plane, unsigned axes)
         X | Y, Y | Z,     X | Y, Y | Z, 0,     X | Z, 0, X | Z, 0};
     unsigned set = axes & (plane < G_SH ? odd_geometry[plane] : odd[(plane - G_SH) / 3]);
     return (set ^ set >> 1 ^ set >> 2) & 1 ? -1 : 1;
+}
+
+float splats_log_scale(float length)
+{
+    return isfinite(length) ? fmaxf((float)log((double)length), GAUSSIANS_LOG_SCALE_MIN) : NAN;
+}
+
+float splats_logit(int byte)
+{
+    return (float)num_logit(fmin(fmax(byte, 0.25), 254.75) / 255);
+}
+
+float splats_colour(int byte)
+{
+    return (float)((byte / 255.0 - 0.5) / SH_BASIS0);
 }
 
 void splats_to_radiance(struct gaussians *g, float ev)

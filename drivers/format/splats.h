@@ -20,7 +20,7 @@ struct splats_info {
     float ev;       // that goes with its colours, stops; 0 if it tells none
 };
 
-/* A kind of file; ply.h, spz.h and glb.h list what their readers refuse. */
+/* A kind of file; the headers of the kinds list what their readers refuse. */
 struct splats_format {
     uint64_t bytes_max;
     float headroom; // stops above white where its display colours end
@@ -55,6 +55,13 @@ enum { SPLATS_RUB = 2 | 4, SPLATS_LUF = 1 | 2 }; // bits x, y, z: right, up, bac
 
 /* -1 or 1: what a plane of struct gaussians is multiplied with to change these axes, either way. */
 int splats_sign(int plane, unsigned axes);
+
+/* Numbers of files as struct gaussians has them: a linear length, which may be 0; the byte of an
+ * opacity, whose ends are moved inwards since the logits of 0 and 1 are infinite; the byte of a
+ * display colour, as harmonic of degree 0. */
+float splats_log_scale(float length);
+float splats_logit(int byte);
+float splats_colour(int byte);
 
 /* Display harmonics in the planes of SH, degree 0 to 3, become those of radiance, at `ev`. */
 void splats_to_radiance(struct gaussians *g, float ev);

@@ -160,12 +160,10 @@ static void take_position(const struct layout *l, const uint8_t *b, int i, struc
     }
 }
 
-/* Both ends are moved inwards: the logits of 0 and 1 are infinite. */
 static void take_opacity(const struct layout *l, const uint8_t *b, int i, struct gaussians *g)
 {
-    double a = fmin(fmax(b[0], 0.25), 254.75) / 255;
     (void)l;
-    g->plane[G_LOGIT][i] = (float)log(a / (1 - a));
+    g->plane[G_LOGIT][i] = splats_logit(b[0]);
 }
 
 static void take_colour(const struct layout *l, const uint8_t *b, int i, struct gaussians *g)
@@ -338,8 +336,10 @@ static err_t read_axes(struct layout *l, struct compressed_in *in, size_t n)
     return OK;
 }
 
+/* Without the flag for them only ours counts, and what else may follow is none. */
 static err_t read_records(struct layout *l, struct compressed_in *in, struct gaussians *g)
 {
+    const bool flagged = l->flags & SPZ_HAS_RECORDS;
     bool seen = false;
     for (;;) {
         uint8_t head[8];
@@ -347,10 +347,12 @@ static err_t read_records(struct layout *l, struct compressed_in *in, struct gau
         err_t e = compressed_some(in, "extension record", head, sizeof head, &got);
         if (e || got == 0)
             return e;
-        if (got < sizeof head)
-            return err_fail(ERR_FORMAT, "%s: extension record: cut off", l->file->what);
-        struct bytes b = bytes_of(head, sizeof head);
+        struct bytes b = bytes_of(head, got);
         uint32_t type = bytes_u32(&b), n = bytes_u32(&b);
+        if (!flagged && (seen || type != SPZ_RADIANCE))
+            return OK;
+        if (b.bad)
+            return err_fail(ERR_FORMAT, "%s: extension record: cut off", l->file->what);
         if (type == SPZ_RADIANCE && seen)
             return err_fail(ERR_FORMAT, "%s: two radiance records", l->file->what);
         seen |= type == SPZ_RADIANCE;
@@ -385,7 +387,7 @@ static err_t read_stream(struct layout *l, struct gaussians *g)
         e = err_fail(ERR_FORMAT, "%s: version %d in a gzip stream", l->file->what, l->version);
     for (int a = 0; a < SPZ_ARRAYS && !e; a++)
         e = read_array(l, &in, a, is_wanted(l, a) ? g : NULL);
-    if (!e && l->flags & SPZ_HAS_RECORDS)
+    if (!e)
         e = read_records(l, &in, g);
     if (!e)
         e = compressed_some(&in, "end", &more, 1, &got); // its checksum
@@ -408,7 +410,7 @@ static err_t read_streams(struct layout *l, struct gaussians *g)
             e = compressed_finish(&in, array_names[a]);
         compressed_close(&in);
     }
-    if (e || !(l->flags & SPZ_HAS_RECORDS))
+    if (e)
         return e;
     e = compressed_open(&in, l->file->what, COMPRESSED_PLAIN, l->records.p, l->records.n);
     return e ? e : read_records(l, &in, g);

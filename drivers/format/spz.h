@@ -2,8 +2,10 @@
  * beside the display colours.
  *
  * Versions 2 to 4 are read. 3 (gzip) is what is written unless 4 (zstd) is asked for: viewers know
- * it. Both carry the radiance in an extension record, which readers skip that do not know it; all
- * the others see the display colours of display.h at display_ev of the tone curve, up to degree 3.
+ * it. Both carry the radiance in a record where those of extensions are, but without the flag that
+ * announces these: other readers take no notice of it, where the reference warns of one that it
+ * does not know. They see the display colours of display.h at display_ev of the tone curve, up to
+ * degree 3.
  *
  * Record 0x48440001, "hdrig radiance", little-endian:
  *    0  u8   version, 1

@@ -294,7 +294,7 @@ static uint8_t *file_head(const struct plan *p, int version, uint8_t *b)
     b = bytes_put_u32(b, (uint32_t)p->g->n);
     *b++ = (uint8_t)p->degree;
     *b++ = (uint8_t)p->fractional;
-    *b++ = SPZ_HAS_RECORDS;
+    *b++ = 0; // flags: spz.h
     *b++ = 0;
     return b;
 }

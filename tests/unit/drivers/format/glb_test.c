@@ -1,8 +1,10 @@
 #include "drivers/format/glb.h"
 
 #include "core/base/bytes.h"
+#include "core/base/rotation.h"
 #include "core/splat/display.h"
 #include "drivers/format/file.h"
+#include "drivers/format/json.h"
 
 #include "tests/unit/tmpdir.h"
 
@@ -67,6 +69,37 @@ static void what_is_written_is_read(void **state)
                 assert_true(fabsf(s.g.plane[p][i] - g.plane[p][i]) <= (rounded ? 1e-5f : 0));
         }
     }
+}
+
+/* As written before names of our attributes began as glTF wants it. */
+static void the_names_of_version_1_are_read(void **state)
+{
+    (void)state;
+    const char *path = tmpdir_path("named.glb");
+    struct scene s = make(3, 2);
+    struct file_map m;
+    struct gaussians g;
+    struct gaussians_report report;
+    int names = 0;
+    assert_int_equal(glb_write(path, &s), OK);
+    assert_int_equal(file_map(path, 1 << 20, &m), OK);
+    char *copy = malloc(m.n), *at;
+    memcpy(copy, m.p, m.n);
+    while ((at = memmem(copy, m.n, "\"_HDRIG_", 8))) {
+        memcpy(at, " \"HDRIG_", 8);
+        names++;
+    }
+    assert_int_equal(names, 9);
+    assert_non_null(at = memmem(copy, m.n, "{\"version\":2,", 13));
+    at[11] = '1';
+    const struct splats_bytes file = {"old.glb", copy, m.n};
+    assert_int_equal(glb_format.parse(&file, 0, &arena, &g, &report), OK);
+    for (int p = G_SH; p < gaussians_planes(2); p++)
+        assert_memory_equal(g.plane[p], s.g.plane[p], 3 * sizeof(float));
+    at[11] = '3';
+    assert_int_equal(glb_format.parse(&file, 0, &arena, &g, &report), ERR_UNSUPPORTED);
+    free(copy);
+    file_unmap(&m);
 }
 
 /* ---- files of others ---- */
@@ -338,6 +371,65 @@ static void points_have_linear_colours_and_bounds(void **state)
     file_unmap(&m);
 }
 
+static void read_numbers(const struct cJSON *node, const char *key, int n, double out[])
+{
+    const struct cJSON *v = json_first(json_member(node, key));
+    for (int k = 0; k < n; k++, v = json_next(v))
+        assert_true(json_number(v, &out[k]));
+}
+
+/* Where the vector v of glTF's camera points, in axes right, down, forward. */
+static void camera_vector(const double q[4], const double v[3], double out[3])
+{
+    double t[3], u[3];
+    for (int k = 0; k < 3; k++) // 2 q x v
+        t[k] = 2 * (q[(k + 1) % 3] * v[(k + 2) % 3] - q[(k + 2) % 3] * v[(k + 1) % 3]);
+    for (int k = 0; k < 3; k++)
+        u[k] =
+            v[k] + q[3] * t[k] + q[(k + 1) % 3] * t[(k + 2) % 3] - q[(k + 2) % 3] * t[(k + 1) % 3];
+    for (int k = 0; k < 3; k++)
+        out[k] = k < 2 ? -u[k] : u[k];
+}
+
+/* Viewers begin where the first photograph was taken. */
+static void the_first_view_is_a_camera(void **state)
+{
+    (void)state;
+    struct camera cam = {64, 48, 60, 60, 32, 24, {0.8f, 0.1f, -0.5f, 0.3f}, {1, 2, 3}};
+    char name[NAME_CAP] = "a \"view\"";
+    struct scene s = make(2, 0);
+    struct file_map m;
+    struct cJSON *json;
+    double q[4], at[3], r[9], centre[3], v[3], fov;
+    s.n_views = 1;
+    s.cams = &cam;
+    s.names = &name;
+    assert_int_equal(glb_write(tmpdir_path("camera.glb"), &s), OK);
+    assert_int_equal(file_map(tmpdir_path("camera.glb"), sizeof file, &m), OK);
+    struct bytes b = bytes_of(m.p + 12, 4);
+    assert_int_equal(json_parse("camera.glb", m.p + 20, bytes_u32(&b), &json), OK);
+    const struct cJSON *node = json_next(json_first(json_member(json, "nodes")));
+    const struct cJSON *lens = json_member(json_first(json_member(json, "cameras")), "perspective");
+    read_numbers(node, "translation", 3, at);
+    read_numbers(node, "rotation", 4, q);
+    rotation_of_camera(&cam, r);
+    rotation_centre(&cam, centre);
+    for (int axis = 0; axis < 3; axis++) {
+        const double own[3] = {axis == 0, axis == 1 ? -1 : 0, axis == 2 ? -1 : 0};
+        camera_vector(q, own, v);
+        for (int k = 0; k < 3; k++)
+            assert_near((float)v[k], r[3 * axis + k]);
+        assert_near((float)(axis < 2 ? -at[axis] : at[axis]), centre[axis]);
+    }
+    assert_true(json_number(json_member(lens, "yfov"), &fov));
+    assert_near((float)tan(fov / 2), 0.4);
+    assert_string_equal(json_string(json_member(node, "name")), name);
+    json_free(json);
+    file_unmap(&m);
+    struct splats_info info;
+    assert_int_equal(splats_peek(&glb_format, tmpdir_path("camera.glb"), &info), OK);
+}
+
 static int remove_folder(void **state)
 {
     (void)state;
@@ -350,12 +442,14 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(what_is_written_is_read),
+        cmocka_unit_test(the_names_of_version_1_are_read),
         cmocka_unit_test(numbers_of_any_type_are_understood),
         cmocka_unit_test(documents_that_lie_are_named),
         cmocka_unit_test(a_band_that_is_not_read_is_told),
         cmocka_unit_test(numbers_that_are_none_do_not_come_in),
         cmocka_unit_test(chunks_that_lie_are_named),
         cmocka_unit_test(points_have_linear_colours_and_bounds),
+        cmocka_unit_test(the_first_view_is_a_camera),
         cmocka_unit_test(what_cannot_be_written_says_why),
         cmocka_unit_test(a_place_without_seeking_is_refused),
     };

@@ -191,7 +191,7 @@ static void odd_scenes_are_written(void **state)
     }
 }
 
-/* Version 4 with the flag cleared that announces the record. */
+/* Version 4 with another name of the record. No flag announces it: programs would warn. */
 static void viewers_see_the_display_colours(void **state)
 {
     (void)state;
@@ -205,7 +205,8 @@ static void viewers_see_the_display_colours(void **state)
         FILE *f = fopen(path, "r+b");
         float unit = 0; // in the record, which lies behind the header
         assert_true(f && fseek(f, 48, SEEK_SET) == 0 && fread(&unit, 4, 1, f) == 1 && unit == 1);
-        assert_true(fseek(f, 14, SEEK_SET) == 0 && fputc(0, f) == 0 && fclose(f) == 0);
+        assert_true(fseek(f, 14, SEEK_SET) == 0 && fgetc(f) == 0);
+        assert_true(fseek(f, 35, SEEK_SET) == 0 && fputc(0, f) == 0 && fclose(f) == 0);
         struct splats_info info;
         struct gaussians g;
         struct gaussians_report report;
@@ -238,8 +239,8 @@ static void display_colours_end_at_the_headroom(void **state)
     for (int c = 0; c < 3; c++)
         s.g.plane[G_SH + c][0] = 20;
     assert_int_equal(spzwrite_scene(path, &s, 4), OK);
-    FILE *f = fopen(path, "r+b"); // the flag that announces the record
-    assert_true(f && fseek(f, 14, SEEK_SET) == 0 && fputc(0, f) == 0 && fclose(f) == 0);
+    FILE *f = fopen(path, "r+b"); // the name of the record
+    assert_true(f && fseek(f, 35, SEEK_SET) == 0 && fputc(0, f) == 0 && fclose(f) == 0);
     assert_int_equal(splats_read(&spz_format, path, 0, &arena, &g, &report), OK);
     assert_true(fabs((double)g.plane[G_SH][0] * C0 / log(2) - (double)spz_format.headroom) < 0.01);
 }
@@ -417,6 +418,18 @@ static void records_of_others_are_skipped_and_axes_obeyed(void **state)
     assert_near(g.plane[G_MU][0], 1);
     assert_near(g.plane[G_MU + 1][0], -1);
     assert_near(g.plane[G_MU + 2][0], 1 / 4096.0);
+}
+
+/* Without the flag of records, what follows the arrays is ours or nothing. */
+static void what_follows_without_the_flag_is_skipped(void **state)
+{
+    (void)state;
+    static const char *const rests[] = {"", "1234", "12345678", "123456789"};
+    for (size_t i = 0; i < sizeof rests / sizeof rests[0]; i++) {
+        put_file(3, 0, 0);
+        put(rests[i], strlen(rests[i]));
+        assert_near(read_file(0).plane[G_MU][0], 1);
+    }
 }
 
 static void expect(err_t code, const char *word)
@@ -651,6 +664,7 @@ int main(void)
         cmocka_unit_test(the_numbers_of_others_are_understood),
         cmocka_unit_test(harmonics_change_their_axes),
         cmocka_unit_test(records_of_others_are_skipped_and_axes_obeyed),
+        cmocka_unit_test(what_follows_without_the_flag_is_skipped),
         cmocka_unit_test(headers_that_lie_are_named),
         cmocka_unit_test(a_wrong_checksum_is_noticed),
         cmocka_unit_test(records_that_lie_are_named),
