@@ -16,6 +16,7 @@ enum {
     GZIP_ONLY = 16 + MAX_WBITS,
     GZIP_LEVEL = 9,
     GZIP_MEMORY = 6, // short blocks: the arrays of a file have little in common
+    GZIP_MEMORY_LONG = MAX_MEM_LEVEL,
     ZSTD_LEVEL = 19,
     ZSTD_WINDOW_LOG_MAX = 27 // 128 MB, what readers accept without asking
 };
@@ -154,14 +155,20 @@ void compressed_close(struct compressed_in *in)
 /* Only read, by deflate: OS 255 is "unknown" (RFC 1952, 2.3.1). */
 static gz_header gzip_head = {.os = 255, .comment = (Bytef *)(uintptr_t)ORIGIN_COMMENT};
 
+static bool is_gzip(enum compressed_kind kind)
+{
+    return kind == COMPRESSED_GZIP || kind == COMPRESSED_GZIP_LONG;
+}
+
 err_t compressed_begin(struct compressed_out *out, const char *what, enum compressed_kind kind,
                        FILE *f, uint64_t size)
 {
     *out = (struct compressed_out){.what = what, .kind = kind, .f = f};
-    if (kind == COMPRESSED_GZIP) {
+    if (is_gzip(kind)) {
+        const int memory = kind == COMPRESSED_GZIP ? GZIP_MEMORY : GZIP_MEMORY_LONG;
         z_stream *z = calloc(1, sizeof *z);
-        if (z && (deflateInit2(z, GZIP_LEVEL, Z_DEFLATED, GZIP_ONLY, GZIP_MEMORY,
-                               Z_DEFAULT_STRATEGY) != Z_OK ||
+        if (z && (deflateInit2(z, GZIP_LEVEL, Z_DEFLATED, GZIP_ONLY, memory, Z_DEFAULT_STRATEGY) !=
+                      Z_OK ||
                   deflateSetHeader(z, &gzip_head) != Z_OK)) {
             free(z);
             z = NULL;
@@ -233,7 +240,7 @@ err_t compressed_put(struct compressed_out *out, const void *p, size_t n)
         return put_bytes(out, p, n);
     if (out->kind == COMPRESSED_ZSTD)
         return zstd_put(out, p, n, false);
-    for (size_t at = 0; out->kind == COMPRESSED_GZIP && at < n && !e; at += ONCE)
+    for (size_t at = 0; is_gzip(out->kind) && at < n && !e; at += ONCE)
         e = deflate_some(out, (const uint8_t *)p + at, min_size(n - at, ONCE), false);
     return e;
 }
@@ -241,7 +248,7 @@ err_t compressed_put(struct compressed_out *out, const void *p, size_t n)
 err_t compressed_end(struct compressed_out *out)
 {
     err_t e = OK;
-    if (out->state && out->kind == COMPRESSED_GZIP) {
+    if (out->state && is_gzip(out->kind)) {
         e = deflate_some(out, "", 0, true);
         deflateEnd(out->state);
         free(out->state);

@@ -12,7 +12,12 @@
 #include <stdint.h>
 #include <stdio.h>
 
-enum compressed_kind { COMPRESSED_PLAIN, COMPRESSED_GZIP, COMPRESSED_ZSTD };
+enum compressed_kind {
+    COMPRESSED_PLAIN,
+    COMPRESSED_GZIP,
+    COMPRESSED_ZSTD,
+    COMPRESSED_GZIP_LONG // written as gzip of long blocks, which take less time to unpack
+};
 
 struct compressed_in {
     const char *what; // begins the sentence

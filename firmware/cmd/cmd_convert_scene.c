@@ -25,7 +25,7 @@ enum { VIEWS_MAX = 4, SIDE_MAX = 448 }; // for the comparison
 
 struct request {
     const char *in, *out, *spz_text, *json;
-    int spz;
+    struct sceneio_format format;
     bool readable; // out can be read back
     struct config cfg;
 };
@@ -272,8 +272,8 @@ static err_t reserve_memory(const struct request *rq, struct state *st)
         arena_hold(&tmp, draw_plan(info->n, SIDE_MAX, SIDE_MAX));
         (void)alloc_pictures(&tmp, st); // a counter is never full; compare_scenes allocates again
     }
-    return engine_reserve(&st->engine, sceneio_write_plan(info->n), keep.peak, tmp.peak,
-                          config_memory_mb(&rq->cfg));
+    return engine_reserve(&st->engine, sceneio_write_plan(info->n, info->degree), keep.peak,
+                          tmp.peak, config_memory_mb(&rq->cfg));
 }
 
 static err_t show_step(struct state *st, const char *stage, int done)
@@ -298,7 +298,7 @@ static err_t convert_scene(const struct request *rq, struct state *st)
     if (!e)
         e = show_step(st, "write", 0);
     if (!e)
-        e = sceneio_write(rq->out, &st->scene, rq->spz);
+        e = sceneio_write(rq->out, &st->scene, &rq->format);
     if (!e)
         e = show_step(st, "write", 1);
     if (!e && rq->readable)
@@ -316,13 +316,17 @@ static err_t convert_scene(const struct request *rq, struct state *st)
 
 static err_t check_request(struct request *rq)
 {
-    rq->spz = SPZWRITE_VERSION;
+    rq->format.spz = SPZWRITE_VERSION;
     err_t e = rq->in && rq->out ? OK : err_fail(ERR_ARG, "a scene and --out are needed");
     if (!e && file_is_same(rq->in, rq->out))
         e = err_fail(ERR_ARG, "%s is both input and output: give another --out", rq->in);
     if (!e && rq->spz_text)
-        e = cmd_whole("--spz", rq->spz_text, 3, 4, &rq->spz);
-    return e ? e : sceneio_check_place(rq->out, &rq->readable);
+        e = cmd_whole("--spz", rq->spz_text, 3, 4, &rq->format.spz);
+    if (!e)
+        e = sceneio_check_place(rq->out, &rq->readable);
+    if (!e && rq->format.lossless && rq->readable)
+        e = err_fail(ERR_ARG, "--lossless is for .html; .hdrig has all bits always");
+    return e;
 }
 
 int cmd_convert_scene_run(int argc, char **argv)
@@ -335,6 +339,8 @@ int cmd_convert_scene_run(int argc, char **argv)
          &rq.out, NULL},
         {"spz", "V", "version of .spz: 3, which viewers know, or 4, smaller; 3", NULL, &rq.spz_text,
          NULL},
+        {"lossless", NULL, ".html with all bits: 32 bytes a splat and more instead of 11 to 14",
+         NULL, NULL, &rq.format.lossless},
         {"json", "FILE", "figures as JSON, - for stdout", NULL, &rq.json, NULL},
         CMD_THREADS,
         CMD_MEMORY,
@@ -342,9 +348,10 @@ int cmd_convert_scene_run(int argc, char **argv)
     const struct cmd_usage usage = {
         .name = "convert-scene",
         .synopsis = "IN --out FILE ",
-        .what = "A scene (result folder, .hdrig, .ply, .spz, .glb) becomes another kind of file.\n"
-                "Tone curve and cameras go into FILE.json beside .ply, .spz and .glb. Tells what\n"
-                "the file lost: it is read back and drawn at the cameras of the scene.",
+        .what = "A scene (result folder, .hdrig, .ply, .spz, .glb; .splat and .ksplat of other\n"
+                "programs) becomes another kind of file. Tone curve and cameras go into FILE.json\n"
+                "beside .ply, .spz and .glb. Tells what the file lost: it is read back and drawn\n"
+                "at the cameras of the scene.",
         .options = options,
         .n_options = sizeof options / sizeof options[0],
     };

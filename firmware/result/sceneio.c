@@ -4,8 +4,11 @@
 #include "firmware/result/viewer.h"
 
 #include "core/base/log.h"
+#include "core/base/num.h"
 #include "core/splat/display.h"
+#include "drivers/format/dotsplat.h"
 #include "drivers/format/glb.h"
+#include "drivers/format/ksplat.h"
 #include "drivers/format/origin.h"
 #include "drivers/format/partial.h"
 #include "drivers/format/ply.h"
@@ -16,11 +19,15 @@
 
 #include <string.h>
 
-enum kind { HDRIG, PLY, SPZ, GLB, HTML, KINDS };
-static const char *const ends[KINDS] = {".hdrig", ".ply", ".spz", ".glb", ".html"};
+enum kind { HDRIG, PLY, SPZ, GLB, SPLAT, KSPLAT, HTML, KINDS };
+static const char *const ends[KINDS] = {".hdrig", ".ply",    ".spz", ".glb",
+                                        ".splat", ".ksplat", ".html"};
 
-static const struct splats_format *const formats[KINDS] = {
-    [PLY] = &ply_format, [SPZ] = &spz_format, [GLB] = &glb_format};
+static const struct splats_format *const formats[KINDS] = {[PLY] = &ply_format,
+                                                           [SPZ] = &spz_format,
+                                                           [GLB] = &glb_format,
+                                                           [SPLAT] = &dotsplat_format,
+                                                           [KSPLAT] = &ksplat_format};
 
 static bool has_sidecar(enum kind kind)
 {
@@ -36,7 +43,9 @@ static err_t kind_of(const char *path, enum kind *out)
         if (n > m && strcmp(path + n - m, ends[k]) == 0)
             return OK;
     }
-    return err_fail(ERR_ARG, "%s: scenes are files .hdrig, .ply, .spz and .glb; .html is written",
+    return err_fail(ERR_ARG,
+                    "%s: scenes are files .hdrig, .ply, .spz and .glb; .splat and .ksplat are "
+                    "read, .html is written",
                     path);
 }
 
@@ -146,6 +155,8 @@ err_t sceneio_check_place(const char *path, bool *readable)
     enum kind kind;
     *readable = false;
     err_t e = kind_of(path, &kind);
+    if (!e && (kind == SPLAT || kind == KSPLAT))
+        e = err_fail(ERR_ARG, "%s: such files are read, not written", path);
     if (!e && file_is_dir(path))
         e = err_fail(ERR_ARG, "%s: a folder", path);
     if (!e)
@@ -156,16 +167,17 @@ err_t sceneio_check_place(const char *path, bool *readable)
     return e;
 }
 
-static err_t write_kind(const char *path, enum kind kind, const struct scene *s, int spz)
+static err_t write_kind(const char *path, enum kind kind, const struct scene *s,
+                        const struct sceneio_format *f)
 {
-    struct viewer_input page = {.scene = s, .title = "hdrig"};
+    struct viewer_input page = {.scene = s, .title = "hdrig", .lossless = f->lossless};
     switch (kind) {
     case HDRIG:
         return scenefile_write(path, s);
     case PLY:
         return ply_write(path, s);
     case SPZ:
-        return spzwrite_scene(path, s, spz);
+        return spzwrite_scene(path, s, f->spz);
     case GLB:
         return glb_write(path, s);
     default:
@@ -217,18 +229,18 @@ static err_t write_sidecar(const struct partial *p, const char *file, const char
 
 /* The splats come last, so that a reader that sees them finds their sidecar too. */
 static err_t write_parts(const struct partial *p, const char *path, enum kind kind,
-                         const struct scene *s, int spz)
+                         const struct scene *s, const struct sceneio_format *f)
 {
     char file[FILE_PATH_CAP];
     err_t e = partial_path(p, path, file);
     if (!e)
-        e = write_kind(file, kind, s, spz);
+        e = write_kind(file, kind, s, f);
     if (!e && has_sidecar(kind))
         e = write_sidecar(p, file, path, kind, s);
     return e ? e : partial_show(p, path);
 }
 
-err_t sceneio_write(const char *path, const struct scene *s, int spz)
+err_t sceneio_write(const char *path, const struct scene *s, const struct sceneio_format *f)
 {
     struct partial p = {0};
     enum kind kind;
@@ -239,18 +251,20 @@ err_t sceneio_write(const char *path, const struct scene *s, int spz)
     if (!e)
         e = partial_open(path, &p);
     if (!e)
-        e = write_parts(&p, path, kind, s, spz);
+        e = write_parts(&p, path, kind, s, f);
     partial_close(&p);
     return e;
 }
 
-/* Colours as .spz has them, and what zstd takes. */
-size_t sceneio_write_plan(int n)
+/* Colours as .spz has them, and what zstd takes; or a page. */
+size_t sceneio_write_plan(int n, int degree)
 {
     enum {
         SHOWN = 3 * (DISPLAY_DEGREE_MAX + 1) * (DISPLAY_DEGREE_MAX + 1),
         PACKING_MAX = 96 << 20
     };
-    size_t packing = (size_t)n * 256;
-    return (size_t)n * SHOWN + (packing < PACKING_MAX ? packing : PACKING_MAX);
+    const struct scene s = {.g = {.n = n, .degree = degree}};
+    const size_t packing = (size_t)n * 256 < PACKING_MAX ? (size_t)n * 256 : PACKING_MAX;
+    return num_max_size((size_t)n * SHOWN + packing,
+                        viewer_plan(&(struct viewer_input){.scene = &s}));
 }

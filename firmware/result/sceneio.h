@@ -1,5 +1,5 @@
-/* sceneio.h - a scene in any kind of file: result folder or .hdrig, .ply, .spz, .glb in;
- * .hdrig, .ply, .spz, .glb, .html out. The kind follows from the name's end.
+/* sceneio.h - a scene in any kind of file: result folder or .hdrig, .ply, .spz, .glb, .splat,
+ * .ksplat in; .hdrig, .ply, .spz, .glb, .html out. The kind follows from the name's end.
  * thread: any. */
 #ifndef RESULT_SCENEIO_H
 #define RESULT_SCENEIO_H
@@ -32,13 +32,19 @@ MUST_USE err_t sceneio_read(const char *path, struct arena *a, struct scene *s,
  * err:  ERR_ARG (no such kind; a folder; another program's file at the sidecar's name). */
 MUST_USE err_t sceneio_check_place(const char *path, bool *readable);
 
+struct sceneio_format {
+    int spz;       // version of .spz, 3 or 4
+    bool lossless; // .html: pagesplats.h; else pagepack.h
+};
+
 /* Write the file, and its sidecar where the kind needs one: they appear under their names when
- * complete. spz: version of .spz, 3 or 4.
+ * complete.
  * err:  those of sceneio_check_place; ERR_ARG (also: another kind of file of this name has the same
  *       sidecar, which would change), ERR_IO, ERR_LIMIT, ERR_NOMEM. */
-MUST_USE err_t sceneio_write(const char *path, const struct scene *s, int spz);
+MUST_USE err_t sceneio_write(const char *path, const struct scene *s,
+                             const struct sceneio_format *f);
 
-/* Bytes that sceneio_write takes beside the scene. */
-size_t sceneio_write_plan(int n);
+/* Bytes that sceneio_write takes beside the scene, whatever the kind. */
+size_t sceneio_write_plan(int n, int degree);
 
 #endif

@@ -1,5 +1,5 @@
 /* viewer.h - view.html: a scene in one page that opens from the disk, without network or server.
- * firmware/web/view.{html,css,js} and splats.js, with the scene in base64 behind them.
+ * firmware/web/view.{html,css,js} and splats.js, with the scene behind them.
  * thread: any. */
 #ifndef RESULT_VIEWER_H
 #define RESULT_VIEWER_H
@@ -8,7 +8,8 @@
 
 enum {
     VIEWER_SPLATS_MAX = 1 << 22,  // that a page may hold
-    VIEWER_SCENE_MAX = 256 << 20, // bytes; SH bands beyond that are left out, the highest first
+    VIEWER_SCENE_MAX = 256 << 20, // bytes in the browser; SH bands beyond that are left out, the
+                                  // highest first
 };
 
 struct viewer_input {
@@ -20,10 +21,14 @@ struct viewer_input {
     int n_log2t;        // marks; NULL: those of the views
     const char *title;  // UTF-8
     const char *report; // address of the report, relative; NULL: none
+    bool lossless;      // 32 bytes a splat and more (pagesplats.h); else those of pagepack.h
 };
 
 /* Upper bound of the file. */
 uint64_t viewer_bytes(const struct viewer_input *in);
+
+/* Bytes that viewer_write takes beside the scene. */
+size_t viewer_plan(const struct viewer_input *in);
 
 /* Splats that are never drawn (a number that is not finite, opacity below 1/255) are left out.
  * err:  ERR_ARG (more than VIEWER_SPLATS_MAX; a camera, exposure or tone curve that is not finite),

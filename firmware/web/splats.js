@@ -342,20 +342,27 @@ function quadIndices() {
   return index;
 }
 
-/* Base64 of the scene into bytes, a piece at a time. */
-function decode() {
-  const text = byId("scene") ? byId("scene").textContent : "", step = 1 << 20;
-  const out = new Uint8Array(info.n * (32 + 16 * shTexels));
+/* ---- the scene: pagesplats.h, pagepack.h ---- */
+
+/* Base64, a piece at a time. */
+function bytesOf(text, size) {
+  const out = new Uint8Array(size), step = 1 << 20;
   let to = 0;
-  if (text.length !== 4 * Math.ceil(out.length / 3))
+  if (text.length !== 4 * Math.ceil(size / 3))
     throw new Error("the page is cut off: " +
-      `${text.length} of ${4 * Math.ceil(out.length / 3)} characters of its scene`);
+      `${text.length} of ${4 * Math.ceil(size / 3)} characters of its scene`);
   if (out.setFromBase64) out.setFromBase64(text); // newer browsers: five times as fast
   else for (let from = 0; from < text.length; from += step) {
     const s = atob(text.slice(from, from + step));
     for (let i = 0; i < s.length; i++) out[to++] = s.charCodeAt(i);
   }
-  return out.buffer;
+  return out;
+}
+
+function decode() {
+  const text = byId("scene") ? byId("scene").textContent : "", { n, packed } = info;
+  if (!packed) return bytesOf(text, n * (32 + 16 * shTexels)).buffer;
+  return unpack(inflate(bytesOf(text, packed.bytes), n * (24 + 6 * coefficients)));
 }
 
 const number = (v) => { // a GLSL constant
@@ -422,10 +429,10 @@ function use(p, textures) {
 function sorter() {
   let mu, n, keys, orders;
   const DIGIT = 11, DIGITS = 3, SIZE = 1 << DIGIT;
-  function sort([a, b, c, d]) {
+  function sort([a, b, c, d], upTo) {
     const depth = new Float32Array(keys[0].buffer);
     let seen = 0;
-    for (let i = 0; i < n; i++) {
+    for (let i = 0; i < upTo; i++) {
       const z = a * mu[3 * i] + b * mu[3 * i + 1] + c * mu[3 * i + 2] + d;
       if (z >= 1e-10) {
         depth[seen] = z;
@@ -453,12 +460,13 @@ function sorter() {
       orders = [new Uint32Array(n), new Uint32Array(n)];
       return;
     }
-    const seen = sort(data.row), order = orders[1].slice(0, seen);
-    postMessage({ seen, order, row: data.row }, [order.buffer]);
+    const seen = sort(data.row, data.upTo), order = orders[1].slice(0, seen);
+    postMessage({ ...data, seen, order }, [order.buffer]);
   };
 }
 
-const sorting = { worker: null, busy: false, row: null, seen: -1 }; // row: of depths, sorted by
+/* row: of the depths that they are sorted by; upTo: how many of them, the most important ones. */
+const sorting = { worker: null, busy: false, row: null, upTo: 0, seen: -1 };
 
 function openSorter(scene) {
   const all = new Float32Array(scene, 0, 8 * info.n), mu = new Float32Array(3 * info.n);
@@ -471,8 +479,8 @@ function openSorter(scene) {
   sorting.worker.onmessage = ({ data }) => {
     sorting.busy = false;
     if (gl.isContextLost()) return;
-    sorting.row = data.row;
-    sorting.seen = data.seen;
+    const { row, upTo, seen } = data;
+    Object.assign(sorting, { row, upTo, seen });
     fill(gpu.order, data.order, 0, data.seen, 1, gl.RED_INTEGER, gl.UNSIGNED_INT);
     invalidate(true);
     requestSort();
@@ -484,9 +492,10 @@ const same = (a, b) => a && b && a.every((v, k) => v === b[k]);
 
 function requestSort() {
   const { R, t } = state.cam, row = [R[6], R[7], R[8], t[2]];
-  if (sorting.busy || same(sorting.row, row)) return;
+  const upTo = firstPicture || !info.packed ? info.n : info.packed.first; // of a large scene
+  if (sorting.busy || (sorting.upTo === upTo && same(sorting.row, row))) return;
   sorting.busy = true;
-  sorting.worker.postMessage({ row });
+  sorting.worker.postMessage({ row, upTo });
 }
 
 /* ---- cameras: { w, h, fx, fy, cx, cy, R, t } as struct camera, R row by row ---- */
@@ -640,6 +649,7 @@ function frame(now) {
   if (!firstPicture && sorting.seen >= 0) {
     radiance(0, 0, 1, 1); // waits for the picture
     firstPicture = performance.now();
+    requestSort(); // of all splats
     state.coarse = 1;
     invalidate(false);
     showFacts();

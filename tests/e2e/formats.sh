@@ -43,6 +43,16 @@ converted "$OUT/c.hdrig" "$OUT/d.spz" 40
 converted "$OUT/d.spz" "$OUT/e.ply" 60
 succeed convert-scene "$OUT/e.ply" --out "$OUT/f.html"
 [ -s "$OUT/f.html" ] || fail "no page"
+succeed convert-scene "$OUT/flat" --out "$OUT/flat.html"
+succeed convert-scene "$OUT/flat" --out "$OUT/whole.html" --lossless
+for name in flat whole; do # bytes a splat in the page, before base64
+    n=$(sed -n 's/.*{"n":\([0-9]*\),.*/\1/p' "$OUT/$name.html")
+    chars=$(sed -n 's/.*octet-stream">\(.*\)<.script>/\1/p' "$OUT/$name.html" | wc -c)
+    declare "$name=$(awk -v n="$n" -v c="$chars" 'BEGIN { print c * 0.75 / n }')"
+done
+at_least "bytes a splat that the page is below 16" "$(awk -v b="$flat" 'BEGIN { print 16 - b }')" 0
+at_least "bytes a splat without loss" "$whole" 32
+expect 2 'lossless is for .html' convert-scene "$OUT/flat" --out "$OUT/x.ply" --lossless
 [ -z "$(find "$OUT" -name '.tmp-*')" ] || fail "temporary files are left"
 for kind in a.ply b.glb c.hdrig d.spz; do
     succeed render --scene "$OUT/$kind" --path inputs --size 56 --out "$OUT/render"
@@ -61,7 +71,7 @@ hide "$OUT/b.glb" "$OUT/ldr.glb" HDRIG_gaussian_splatting_radiance
 hide "$OUT/a.ply" "$OUT/ldr.ply" ihdr_log_ 'ihdr ev'
 hide "$OUT/a.ply" "$OUT/ev.ply" ihdr_log_
 succeed convert-scene "$OUT/d.spz" --out "$OUT/ldr.spz" --spz 4
-printf '\0' | dd of="$OUT/ldr.spz" bs=1 seek=14 conv=notrunc status=none # the flag of records
+printf '\0' | dd of="$OUT/ldr.spz" bs=1 seek=35 conv=notrunc status=none # the record's name
 mv "$OUT/ldr.json" "$OUT/kept"
 for kind in ply glb spz; do
     succeed convert-scene "$OUT/ldr.$kind" --out "$OUT/out.hdrig"
@@ -86,12 +96,33 @@ says 'no splat is brighter than white: if the scene had brighter light, it is lo
 converted "$OUT/scene" "$OUT/same.ply" 60
 grep -q 'display colours' "$ERR" && fail "a word about display colours where there is radiance"
 
+# files of other programs: text, and kinds that are only read
+{
+    sed -n '1,/end_header/p' "$OUT/grey.ply" | sed 's/binary_little_endian/ascii/'
+    echo 1 2 3 0.5 0.5 0.5 2 -3 -3 -3 1 0 0 0
+} >"$OUT/text.ply"
+succeed convert-scene "$OUT/text.ply" --out "$OUT/out.hdrig"
+says 'text.ply: display colours, taken as sRGB'
+{
+    head -c 12 /dev/zero
+    printf '\0\0\200\077%.0s' 1 2 3 # 1.0
+    printf '\377\200\020\377\377\200\200\200'
+} >"$OUT/one.splat"
+succeed convert-scene "$OUT/one.splat" --out "$OUT/out.hdrig"
+says 'one.splat: no splat is brighter than white'
+expect 2 'x.splat: such files are read, not written' convert-scene "$OUT/scene" --out x.splat
+expect 2 'x.ksplat: such files are read, not written' convert-scene "$OUT/scene" --out x.ksplat
+
 # what is no scene, and places that do not do
 for name in a.ply b.glb c.hdrig d.spz; do
     head -c 1000 "$OUT/$name" >"$OUT/cut.${name#*.}"
     expect 1 "cut.${name#*.}: " convert-scene "$OUT/cut.${name#*.}" --out "$OUT/none.ply"
     head -c 1000 /dev/urandom >"$OUT/noise.${name#*.}"
     expect 1 "noise.${name#*.}: " convert-scene "$OUT/noise.${name#*.}" --out "$OUT/none.ply"
+done
+for kind in splat ksplat; do
+    head -c 5000 /dev/urandom >"$OUT/noise.$kind"
+    expect 1 "noise.$kind: " convert-scene "$OUT/noise.$kind" --out "$OUT/none.ply"
 done
 expect 1 'nowhere.ply' convert-scene "$OUT/nowhere.ply" --out "$OUT/none.ply"
 expect 1 'set/scene.hdrig' convert-scene "$OUT/set" --out "$OUT/none.ply"

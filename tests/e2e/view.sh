@@ -396,7 +396,7 @@ open_page "$FILE/million/view.html"
 printf '1,000,000 splats: a page of %d MB, first picture after %.1f s\n' \
     "$(($(stat -c %s "$OUT/million/view.html") / 1000000))" \
     "$(awk "BEGIN { print $(value "viewer.firstPicture()") / 1000 }")"
-is "sorting.seen" 1000000
+wait_for "sorting.seen" 1000000
 quiet "1,000,000 splats"
 rm -rf "$OUT/million"
 browser_close

@@ -18,6 +18,7 @@
 
 #include <cmocka.h>
 
+static const struct sceneio_format spz3 = {.spz = 3};
 static struct arena arena;
 
 static struct scene make(int n, int degree)
@@ -55,7 +56,7 @@ static void every_kind_keeps_the_scene(void **state)
         bool readable;
         assert_int_equal(sceneio_check_place(path, &readable), OK);
         assert_true(readable);
-        assert_int_equal(sceneio_write(path, &s, 3), OK);
+        assert_int_equal(sceneio_write(path, &s, &spz3), OK);
         assert_int_equal(sceneio_peek(path, &info), OK);
         assert_true(info.n == 40 && info.degree == 2 && info.n_views == 1 && info.has_hdr);
         struct arena exact; // as many bytes as were promised
@@ -89,17 +90,17 @@ static void a_failure_leaves_what_was_there(void **state)
     struct scene s = make(4, 0), bad, back;
     struct gaussians_report report;
     for (int k = 0; k < N_KINDS; k++)
-        assert_int_equal(sceneio_write(tmpdir_path(kinds[k]), &s, 3), OK);
+        assert_int_equal(sceneio_write(tmpdir_path(kinds[k]), &s, &spz3), OK);
     int files = count_files();
     for (int k = 0; k < N_KINDS; k++) {
         const char *path = tmpdir_path(kinds[k]);
         bad = make(4, 0);
         bad.g.plane[G_SH][3] = NAN; // found by the splats
-        assert_int_equal(sceneio_write(path, &bad, 3), ERR_ARG);
+        assert_int_equal(sceneio_write(path, &bad, &spz3), ERR_ARG);
         bad = make(4, 0);
         bad.background[0] = INFINITY; // found by the sidecar
         if (k > 0)
-            assert_int_equal(sceneio_write(path, &bad, 3), ERR_ARG);
+            assert_int_equal(sceneio_write(path, &bad, &spz3), ERR_ARG);
         assert_int_equal(count_files(), files);
         assert_int_equal(sceneio_read(path, &arena, &back, &report), OK);
         assert_int_equal(back.g.n, 4);
@@ -125,13 +126,13 @@ static void a_disk_that_ends_leaves_what_was_there(void **state)
     for (int k = 0; k < N_KINDS; k++) {
         const char *path = tmpdir_path(kinds[k]);
         s.g.n = 5;
-        assert_int_equal(sceneio_write(path, &s, 4), OK);
+        assert_int_equal(sceneio_write(path, &s, &(struct sceneio_format){.spz = 4}), OK);
         s.g.n = 1200;
         int files = count_files();
         for (size_t i = 0; i < sizeof ends / sizeof ends[0]; i++)
             for (int spz = 3; spz <= 4; spz++) {
                 limit_files(ends[i]);
-                err_t e = sceneio_write(path, &s, spz);
+                err_t e = sceneio_write(path, &s, &(struct sceneio_format){.spz = spz});
                 limit_files(RLIM_INFINITY);
                 assert_int_equal(e, ERR_IO);
                 assert_non_null(strstr(err_text(), "File too large"));
@@ -140,7 +141,7 @@ static void a_disk_that_ends_leaves_what_was_there(void **state)
         s.g.n = 1; // now it is the sidecar that does not fit
         s.g.degree = 0;
         limit_files(5000);
-        assert_int_equal(sceneio_write(path, &s, 3), k == 0 ? OK : ERR_IO);
+        assert_int_equal(sceneio_write(path, &s, &spz3), k == 0 ? OK : ERR_IO);
         limit_files(RLIM_INFINITY);
         assert_true(k == 0 || strstr(err_text(), ".json: writing failed: File too large"));
         assert_int_equal(count_files(), files);
@@ -176,7 +177,7 @@ static void a_sidecar_tells_what_display_colours_mean(void **state)
         struct gaussians_report report;
         struct sceneio_info info;
         s.n_views = n_views;
-        assert_int_equal(sceneio_write(tmpdir_path("ldr.ply"), &s, 3), OK);
+        assert_int_equal(sceneio_write(tmpdir_path("ldr.ply"), &s, &spz3), OK);
         strip("ldr.ply");
         assert_int_equal(sceneio_peek(tmpdir_path("ldr.ply"), &info), OK);
         assert_true(!info.has_hdr && info.has_sidecar && info.ev == 0 && isinf(info.headroom));
@@ -202,14 +203,14 @@ static void places_that_do_not_do_are_refused(void **state)
     bool readable;
     tmpdir_text("taken.json", "{\"mine\": 1}");
     expect_err(sceneio_check_place(tmpdir_path("taken.glb"), &readable), ERR_ARG, "taken.json");
-    expect_err(sceneio_write(tmpdir_path("taken.glb"), &s, 3), ERR_ARG, "taken.json");
+    expect_err(sceneio_write(tmpdir_path("taken.glb"), &s, &spz3), ERR_ARG, "taken.json");
     assert_false(file_exists(tmpdir_path("taken.glb")));
-    assert_int_equal(sceneio_write(tmpdir_path("taken.hdrig"), &s, 3), OK); // needs none
-    expect_err(sceneio_write(tmpdir_path("x.obj"), &s, 3), ERR_ARG, "x.obj: scenes are files");
-    expect_err(sceneio_write(tmpdir_path(".ply/"), &s, 3), ERR_ARG, "scenes are files");
-    expect_err(sceneio_write(tmpdir_path("none/x.ply"), &s, 3), ERR_IO, "none/");
+    assert_int_equal(sceneio_write(tmpdir_path("taken.hdrig"), &s, &spz3), OK); // needs none
+    expect_err(sceneio_write(tmpdir_path("x.obj"), &s, &spz3), ERR_ARG, "x.obj: scenes are files");
+    expect_err(sceneio_write(tmpdir_path(".ply/"), &s, &spz3), ERR_ARG, "scenes are files");
+    expect_err(sceneio_write(tmpdir_path("none/x.ply"), &s, &spz3), ERR_IO, "none/");
     tmpdir_mkdir("folder.ply");
-    expect_err(sceneio_write(tmpdir_path("folder.ply"), &s, 3), ERR_ARG, "a folder");
+    expect_err(sceneio_write(tmpdir_path("folder.ply"), &s, &spz3), ERR_ARG, "a folder");
     expect_err(sceneio_read(tmpdir_path("folder.ply"), &arena, &back, &report), ERR_IO,
                "scene.hdrig");
     expect_err(sceneio_peek(tmpdir_path("x.html"), &info), ERR_ARG, "written, not read");
@@ -220,7 +221,7 @@ static void places_that_do_not_do_are_refused(void **state)
     memset(longer, 'a', sizeof longer - 5);
     memcpy(longer + sizeof longer - 5, ".ply", 5);
     expect_err(sceneio_peek(longer, &info), ERR_ARG, "4095 bytes");
-    expect_err(sceneio_write(longer, &s, 3), ERR_ARG, "");
+    expect_err(sceneio_write(longer, &s, &spz3), ERR_ARG, "");
 }
 
 static void one_scene_does_not_take_the_sidecar_of_another(void **state)
@@ -228,18 +229,18 @@ static void one_scene_does_not_take_the_sidecar_of_another(void **state)
     (void)state;
     struct scene s = make(3, 0), back;
     struct gaussians_report report;
-    assert_int_equal(sceneio_write(tmpdir_path("one.ply"), &s, 3), OK);
-    assert_int_equal(sceneio_write(tmpdir_path("one.spz"), &s, 3), OK); // the same scene
+    assert_int_equal(sceneio_write(tmpdir_path("one.ply"), &s, &spz3), OK);
+    assert_int_equal(sceneio_write(tmpdir_path("one.spz"), &s, &spz3), OK); // the same scene
     int files = count_files();
     s.background[0] = 0.5f;
-    expect_err(sceneio_write(tmpdir_path("one.ply"), &s, 3), ERR_ARG, "one.json belongs to ");
+    expect_err(sceneio_write(tmpdir_path("one.ply"), &s, &spz3), ERR_ARG, "one.json belongs to ");
     assert_non_null(strstr(err_text(), "one.spz too and would change"));
-    expect_err(sceneio_write(tmpdir_path("one.glb"), &s, 3), ERR_ARG, "one.ply too");
+    expect_err(sceneio_write(tmpdir_path("one.glb"), &s, &spz3), ERR_ARG, "one.ply too");
     assert_int_equal(count_files(), files);
     assert_int_equal(sceneio_read(tmpdir_path("one.ply"), &arena, &back, &report), OK);
     assert_true(back.background[0] == 0);
     assert_int_equal(remove(tmpdir_path("one.spz")), 0);
-    assert_int_equal(sceneio_write(tmpdir_path("one.ply"), &s, 3), OK); // its own
+    assert_int_equal(sceneio_write(tmpdir_path("one.ply"), &s, &spz3), OK); // its own
 }
 
 static int remove_folder(void **state)

@@ -4,6 +4,7 @@
 #include "core/base/half.h"
 #include "core/photo/tonemap.h"
 #include "core/splat/display.h"
+#include "drivers/format/compressed.h"
 #include "drivers/format/file.h"
 #include "drivers/format/img.h"
 #include "drivers/format/json.h"
@@ -38,6 +39,14 @@ static size_t page_bytes;
 static struct cJSON *info;
 static uint8_t *blob;
 static size_t blob_bytes, info_chars, blob_chars;
+
+/* Fields of the smaller kind of page, read as pagepack.h describes them. */
+static struct {
+    struct compressed_in in;
+    uint8_t *plane;
+    int n;
+    int32_t *v; // of the field that was read last
+} fields;
 
 static double uniform(double lo, double hi)
 {
@@ -79,8 +88,11 @@ static int setup(void **state)
     scene.names = names;
     scene.log2t = log2t;
     scene.cams = cams;
-    input = (struct viewer_input){
-        .scene = &scene, .photos = photos, .title = "a scene", .report = "report.html"};
+    input = (struct viewer_input){.scene = &scene,
+                                  .photos = photos,
+                                  .title = "a scene",
+                                  .report = "report.html",
+                                  .lossless = true};
     page = NULL;
     blob = NULL;
     info = NULL;
@@ -93,6 +105,10 @@ static int teardown(void **state)
     json_free(info);
     free(page);
     free(blob);
+    free(fields.plane);
+    free(fields.v);
+    fields.plane = NULL;
+    fields.v = NULL;
     arena_free(&arena);
     tmpdir_remove();
     return 0;
@@ -214,10 +230,218 @@ static void splats_come_back(void **state)
     }
 }
 
+/* ---- the smaller kind ---- */
+
+static void open_fields(void)
+{
+    fields.n = (int)number("n");
+    fields.plane = realloc(fields.plane, (size_t)fields.n + 1);
+    fields.v = realloc(fields.v, (size_t)fields.n * sizeof *fields.v + 1);
+    assert_int_equal(compressed_open(&fields.in, "page", COMPRESSED_GZIP, blob, blob_bytes), OK);
+}
+
+static void close_fields(void)
+{
+    assert_int_equal(compressed_finish(&fields.in, "scene"), OK);
+    compressed_close(&fields.in);
+}
+
+static void read_field(int bytes, bool signs)
+{
+    for (int b = 0; b < bytes; b++) {
+        assert_int_equal(compressed_read(&fields.in, "scene", fields.plane, (size_t)fields.n), OK);
+        for (int i = 0; i < fields.n; i++)
+            fields.v[i] = (b ? fields.v[i] : 0) | fields.plane[i] << (8 * b);
+    }
+    for (int i = 0; i < fields.n && signs; i++)
+        fields.v[i] = fields.v[i] % 2 ? -(fields.v[i] + 1) / 2 : fields.v[i] / 2;
+}
+
+static double packed_number(const char *key, int k)
+{
+    double v = NAN;
+    const struct cJSON *node = json_member(json_member(info, "packed"), key);
+    if (json_is_array(node))
+        for (node = json_first(node); k > 0; k--)
+            node = json_next(node);
+    assert_true(json_number(node, &v));
+    return v;
+}
+
+static double step_of(const char *range, double *lo)
+{
+    const struct cJSON *first = json_first(json_member(info, range));
+    double step = NAN;
+    assert_true(json_number(first, lo) && json_number(json_next(first), &step));
+    return step;
+}
+
+/* Positions come first: which splat of the scene stands at place i. */
+static void match_positions(int match[SPLATS])
+{
+    static double mu[3][SPLATS];
+    bool taken[SPLATS] = {false};
+    const double reach = packed_number("reach", 0), step = packed_number("step", 0);
+    for (int k = 0; k < 3; k++) {
+        double at = packed_number("low", k);
+        read_field(3, true);
+        for (int i = 0; i < SPLATS; i++) {
+            at += fields.v[i];
+            mu[k][i] = packed_number("at", k) + reach * sinh(at * step);
+        }
+    }
+    for (int i = 0; i < SPLATS; i++) {
+        double best = INFINITY, far = 0;
+        for (int j = 0; j < SPLATS; j++) {
+            double away = 0;
+            for (int k = 0; k < 3; k++)
+                away += pow(mu[k][i] - (double)scene.g.plane[G_MU + k][j], 2);
+            if (away < best)
+                match[i] = j;
+            best = fmin(best, away);
+        }
+        for (int k = 0; k < 3; k++)
+            far = fmax(far, fabs(mu[k][i] - packed_number("at", k)));
+        assert_true(sqrt(best) <= 0.88 * step * hypot(far, reach)); // sqrt(3) / 2 steps
+        assert_false(taken[match[i]]);
+        taken[match[i]] = true;
+    }
+}
+
+static void check_steps(const char *range, const int match[SPLATS], const float *want, double scale,
+                        bool add)
+{
+    static int32_t before[SPLATS];
+    double lo, step = step_of(range, &lo);
+    assert_true(step == 1.0 / 64);
+    read_field(2, add);
+    for (int i = 0; i < SPLATS; i++) {
+        int32_t v = fields.v[i] + (add ? before[i] : 0);
+        double is = scale * (double)want[match[i]];
+        assert_true(fabs(lo + step * v - fmin(is, want == scene.g.plane[G_LOGIT] ? 12 : is)) <=
+                    step / 2 + 1e-6);
+        before[i] = add ? before[i] : v;
+    }
+}
+
+static void check_quats(const int match[SPLATS])
+{
+    static int32_t q[3][SPLATS];
+    for (int k = 0; k < 3; k++) {
+        read_field(2, true);
+        memcpy(q[k], fields.v, sizeof q[k]);
+    }
+    read_field(1, false);
+    for (int i = 0; i < SPLATS; i++) {
+        double sum = 0, dot = 0, length = 0, v[3];
+        const int largest = fields.v[i] & 3;
+        for (int k = 0; k < 3; k++) {
+            v[k] = q[k][i] * 32 / 16383.0 * sqrt(0.5);
+            sum += v[k] * v[k];
+        }
+        for (int k = 0, n = 0; k < 4; k++) {
+            const double want = (double)scene.g.plane[G_QUAT + k][match[i]];
+            dot += want * (k == largest ? sqrt(fmax(1 - sum, 0)) : v[n++]);
+            length += want * want;
+        }
+        assert_true(fabs(dot) / sqrt(length) > 1 - 4e-6); // 3 mrad
+        assert_int_equal(fields.v[i] >> 2, match[i] % 2);
+    }
+}
+
+static void packed_splats_come_back(void **state)
+{
+    (void)state;
+    static float confidence[SPLATS];
+    int match[SPLATS];
+    for (int i = 0; i < SPLATS; i++)
+        confidence[i] = i % 2 ? 0.1f : 0.9f;
+    scene.confidence = confidence;
+    scene.g.plane[G_MU][7] = 1e9f; // the sky
+    scene.g.plane[G_LOG_SCALE][7] = scene.g.plane[G_LOG_SCALE + 1][7] = 13;
+    scene.g.plane[G_LOG_SCALE][8] = -27;
+    input.lossless = false;
+    make_page();
+    assert_true(page_bytes <= viewer_bytes(&input));
+    open_fields();
+    match_positions(match);
+    for (int k = 0; k < 3; k++)
+        check_steps("scale", match, scene.g.plane[G_LOG_SCALE + k], 1, false);
+    check_steps("logit", match, scene.g.plane[G_LOGIT], 1, false);
+    check_quats(match);
+    check_steps("light", match, scene.g.plane[G_SH + 1], sh_c0, false);
+    check_steps("light", match, scene.g.plane[G_SH], sh_c0, true);
+    check_steps("light", match, scene.g.plane[G_SH + 2], sh_c0, true);
+    for (int p = G_SH + 3; p < gaussians_planes(DEGREE); p++) {
+        read_field(2, true);
+        for (int i = 0; i < SPLATS; i++)
+            assert_true(fabs(fields.v[i] * packed_number("sh", 0) -
+                             (double)scene.g.plane[p][match[i]]) <= packed_number("sh", 0) / 2);
+    }
+    close_fields();
+    assert_int_equal((int)packed_number("first", 0), SPLATS);
+}
+
+/* No splat, one, and many at one place. */
+static void few_packed_splats(void **state)
+{
+    (void)state;
+    input.lossless = false;
+    for (int k = 0; k < 3; k++)
+        for (int i = 0; i < SPLATS; i++)
+            scene.g.plane[G_MU + k][i] = 5;
+    for (int n = 0; n <= SPLATS; n = 2 * n + 1) {
+        scene.g.n = n;
+        make_page();
+        open_fields();
+        for (int k = 0; k < 3; k++) {
+            read_field(3, true);
+            for (int i = 0; i < n; i++)
+                assert_int_equal(fields.v[i], 0);
+            assert_true(n == 0 || packed_number("at", k) == 5);
+        }
+        compressed_close(&fields.in);
+    }
+}
+
+/* Of large scenes the splats that matter come first. */
+static void important_splats_come_first(void **state)
+{
+    (void)state;
+    enum { MANY = 3 << 17 };
+    struct arena a;
+    assert_int_equal(arena_init(&a, "many", gaussians_need(MANY, 0)), OK);
+    assert_int_equal(gaussians_init(&scene.g, &a, MANY, 0), OK);
+    scene.g.n = MANY;
+    for (int i = 0; i < MANY; i++) {
+        random_splat(&scene.g, i);
+        for (int k = 0; k < 3; k++)
+            scene.g.plane[G_LOG_SCALE + k][i] = i % 3 ? -8 : -4;
+        scene.g.plane[G_LOGIT][i] = i % 3 ? -4 : 4;
+    }
+    input.lossless = false;
+    make_page();
+    open_fields();
+    const int first = (int)packed_number("first", 0);
+    assert_true(first >= MANY / 3 && first < MANY / 3 + 10);
+    for (int k = 0; k < 3; k++)
+        read_field(3, true);
+    double lo, step = step_of("scale", &lo);
+    for (int k = 0; k < 3; k++)
+        read_field(2, false);
+    int large = 0;
+    for (int i = 0; i < first; i++)
+        large += lo + step * fields.v[i] > -6;
+    assert_int_equal(large, MANY / 3);
+    compressed_close(&fields.in);
+    arena_free(&a);
+}
+
 static void what_stands_around_it(void **state)
 {
     (void)state;
     float tone[TONE_PARAMS], k[4];
+    input.lossless = false; // the longer of the two frames
     make_page();
     assert_true(json_floats("info", info, "tone", TONE_PARAMS, tone) == OK);
     assert_memory_equal(tone, scene.tone.p, sizeof tone);
@@ -372,6 +596,9 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         TEST(splats_come_back),
+        TEST(packed_splats_come_back),
+        TEST(few_packed_splats),
+        TEST(important_splats_come_first),
         TEST(what_stands_around_it),
         TEST(hostile_texts),
         TEST(what_is_never_drawn_is_left_out),
