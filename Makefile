@@ -22,11 +22,14 @@ DEPS := gcc g++ libc6-dev make pkg-config libspng-dev libturbojpeg0-dev libexif-
 	libqrencode-dev libsystemd-dev zlib1g-dev libzstd-dev libapriltag-dev libopenmpi-dev \
 	dpkg-dev
 DEPS_CHECK := $(DEPS) libcmocka-dev openmpi-bin libmpich-dev mpich mosquitto openssl iproute2 \
-	clang libclang-rt-dev lld cppcheck chromium systemd lintian ffmpeg gcc-aarch64-linux-gnu \
-	libc6-dev-arm64-cross qemu-user
+	clang libclang-rt-dev lld cppcheck chromium firefox-esr systemd lintian ffmpeg qemu-user \
+	xvfb gcc-aarch64-linux-gnu libc6-dev-arm64-cross $(if $(shell command -v npm 2>/dev/null),,npm)
 DEPS_CROSS := $(DEPS) gcc-aarch64-linux-gnu g++-aarch64-linux-gnu
 DEPS_KERNEL := $(DEPS) bc bison dmsetup e2fsprogs flex kmod libcamera-ipa udev xz-utils
 DEPS_QEMU := cpio linux-headers-amd64 qemu-system-x86
+# The rules of accessibility, a package of npm.
+AXE := axe-core@4.14.1
+AXE_SHA256 := e6b0ce02b84d892e2e33e403485e7f3d6c29e2be6df65daf44d89ba564139745
 
 VERSION := 0.5.0
 PREFIX ?= /usr/local
@@ -424,7 +427,7 @@ print-%: ; @echo $($*)
 
 # --- packages -------------------------------------------------------------------------------------
 deps: build/deps
-deps-check: build/deps-check
+deps-check: build/deps-check build/axe.min.js
 deps-kernel: build/deps-kernel
 deps-qemu: build/deps-qemu
 deps-cross: build/deps-cross
@@ -449,6 +452,9 @@ build/deps build/deps-check build/deps-kernel build/deps-qemu build/deps-cross: 
 	    root=$$(test $$(id -u) = 0 || echo sudo); \
 	    $$root apt-get -q update && $$root env DEBIAN_FRONTEND=noninteractive \
 	        apt-get -q install -y --no-install-recommends $$missing; } && touch $@
+
+build/axe.min.js: tests/npm.sh Makefile | build/deps-check
+	@tests/npm.sh $(AXE) $(AXE_SHA256) package/axe.min.js $@
 
 clean:
 	rm -rf build

@@ -55,7 +55,8 @@ function openAll() {
 
 function table(head, rows) {
   const cell = (name) => (v, i) => element(name, i ? { class: "n" } : {}, v);
-  return element("div", { class: "scroll" }, element("table", {},
+  const reach = { class: "scroll", tabindex: 0, role: "group", "aria-label": head.join(", ") };
+  return element("div", reach, element("table", {},
     element("tr", {}, ...head.map(cell("th"))),
     ...rows.map((r) => element("tr", {}, ...r.map(cell("td"))))));
 }
@@ -224,7 +225,7 @@ function perColour(h, bins) {
     return fixed(100 * some.reduce((a, b) => a + b, 0) / all, 1);
   };
   return ["red", "green", "blue"].map((c) =>
-    element("span", { class: `text-${c}`, title: c }, of(h[c])));
+    element("span", { class: `text-${c}`, title: c }, `${c[0].toUpperCase()} ${of(h[c])}`));
 }
 
 // The first cards, the rest behind a click.
@@ -436,7 +437,11 @@ function toneChart(tone) {
       draw(f.display, f.name === tone.nearest ? "family near" : "family")),
     draw(tone.red, "curve red"), draw(tone.green, "curve green"), draw(tone.blue, "curve blue"),
     label((left + width) / 2, height - 8, "light at the middle exposure, stops"),
-    upright(12, (y(0) + y(1)) / 2, "display value, %"));
+    upright(12, (y(0) + y(1)) / 2, "display value, %"),
+    ...curves.map((values, c) => { // each letter elsewhere: curves may be one upon another
+      const i = values.findIndex((v) => v > 0.3 + 0.2 * c);
+      return i < 0 ? null : label(x(tone.stops[i]) - 8, y(values[i]), "RGB"[c]);
+    }));
   chart.setAttribute("class", "chart");
   chart.setAttribute("aria-label", "display value over exposure: red, green, blue, known curves");
   return chart;

@@ -10,7 +10,8 @@ no_browser() {
 }
 
 browser_open() { # width height px [arguments for the browser]...
-    local program size="$1 $2"
+    local program
+    size="$1 $2 ${scale:-1} ${mobile:-false}"
     program=$(command -v chromium || command -v chromium-browser) || no_browser
     shift 2
     mkfifo "$OUT/to" "$OUT/from"
@@ -23,8 +24,12 @@ browser_open() { # width height px [arguments for the browser]...
     call Target.createTarget '{"url":"about:blank"}'
     call Target.attachToTarget "{\"targetId\":\"$(field targetId)\",\"flatten\":true}"
     session=$(field sessionId)
-    call Emulation.setDeviceMetricsOverride "{\"width\":${size% *},\"height\":${size#* },
-        \"deviceScaleFactor\":${scale:-1},\"mobile\":${mobile:-false}}"
+    resize $size
+}
+
+resize() { # width height px-of-the-device-for-one mobile
+    call Emulation.setDeviceMetricsOverride "{\"width\":$1,\"height\":$2,
+        \"deviceScaleFactor\":$3,\"mobile\":$4}"
 }
 
 browser_close() {
@@ -63,6 +68,47 @@ wait_for() { # expression value
         sleep 0.1
     done
     fail "$1 is \"$(value "$1")\", not \"$2\""
+}
+
+open_address() { # address
+    call Page.navigate "{\"url\":\"$1\"}"
+}
+
+# ---- hands ----
+
+mouse() { # type x y buttons [more]
+    call Input.dispatchMouseEvent \
+        "{\"type\":\"$1\",\"x\":$2,\"y\":$3,\"buttons\":$4,\"button\":\"${6:-left}\"${5:-}}"
+}
+
+drag() { # x y x y [button number [more]]
+    mouse mousePressed "$1" "$2" "${6:-1}" ',"clickCount":1'"${7:-}" "${5:-left}"
+    mouse mouseMoved "$3" "$4" "${6:-1}" "${7:-}" "${5:-left}"
+    mouse mouseReleased "$3" "$4" 0 ',"clickCount":1'"${7:-}" "${5:-left}"
+}
+
+click() { # x y
+    mouse mousePressed "$1" "$2" 1 ',"clickCount":1'
+    mouse mouseReleased "$1" "$2" 0 ',"clickCount":1'
+}
+
+wheel() { # x y way
+    mouse mouseWheel "$1" "$2" 0 ",\"deltaX\":0,\"deltaY\":$3"
+}
+
+press() { # key
+    call Input.dispatchKeyEvent "{\"type\":\"keyDown\",\"key\":\"$1\",\"text\":\"$1\"}"
+    call Input.dispatchKeyEvent "{\"type\":\"keyUp\",\"key\":\"$1\"}"
+}
+
+touch() { # type points
+    call Input.dispatchTouchEvent "{\"type\":\"$1\",\"touchPoints\":[$2]}"
+}
+
+swipe() { # x y x y
+    touch touchStart "{\"x\":$1,\"y\":$2}"
+    touch touchMove "{\"x\":$3,\"y\":$4}"
+    touch touchEnd ''
 }
 
 screenshot() { # file

@@ -2,6 +2,7 @@
 # The status page in a browser: its contents, its buttons, and its layout on a telephone.
 . tests/e2e/common.bash
 . tests/e2e/browser.bash
+. tests/e2e/axe.bash
 SOCKET=$(mktemp -d)/control
 PORT=$((20000 + $$ % 20000))
 printf '%s\n' "store.path = $OUT/store" "results.path = $OUT/results" "job.run = 0" \
@@ -54,6 +55,7 @@ wait_for "$text" "1 place so far"
     true ] || fail "the capture's card does not tell its session"
 [ "$(value "document.getElementById('session').hidden")" = false ] || fail "the session is hidden"
 screenshot "$OUT/page.png"
+accessible "an armed rig"
 value "document.getElementById('session-scene').click()" >/dev/null
 wait_for "document.getElementById('message').textContent" \
     "1 place so far, a scene needs at least 2"
@@ -75,6 +77,7 @@ kill -TERM $daemon
 wait $daemon || fail "the daemon ends with $?"
 wait_for "document.getElementById('state').textContent" "no answer"
 [ "$(value "document.getElementById('capture').disabled")" = true ] || fail "the button still works"
+accessible "no answer"
 browser_close
 rm -rf "${SOCKET%/*}"
 finish

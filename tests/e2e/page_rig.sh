@@ -3,6 +3,7 @@
 # none, the page is told of one.
 . tests/e2e/common.bash
 . tests/e2e/browser.bash
+. tests/e2e/axe.bash
 SOCKET=$(mktemp -d)/control
 PORT=$((20000 + $$ % 20000))
 world="sim:kind=room,seed=5,size=56,samples=1,fps=50,views=5"
@@ -125,6 +126,7 @@ call Emulation.setDeviceMetricsOverride \
     '{"width":1200,"height":900,"deviceScaleFactor":1,"mobile":false}'
 fits 1200
 screenshot "$OUT/desk64.png"
+accessible "64 boards"
 is "document.getElementById('message').matches('.kept, :empty')" true
 
 kill -TERM $daemon

@@ -3,6 +3,7 @@
 # report.json, nothing is loaded or forbidden; for all kinds of photographs and scenes.
 . tests/e2e/common.bash
 . tests/e2e/browser.bash
+. tests/e2e/axe.bash
 tiny=tests/data/ckpt
 succeed convert "$tiny/tiny.ckpt" --config "$tiny/tiny.json" --precision int8 \
     --out "$OUT/int8.hdrig"
@@ -140,6 +141,7 @@ is "warnings of a good scene" "document.querySelectorAll('.warnings li').length"
     "$(sed -n '/"warnings": \[/,/\]/p' "$OUT/room-scene/report.json" | grep -c '^    "')"
 is "address of the scene" "document.querySelector('#summary a').getAttribute('href')" view.html
 screenshot "$OUT/page.png"
+accessible "report"
 show unseen
 is "address of a scene that is not there" "document.querySelector('#summary a')" null
 
@@ -158,6 +160,7 @@ is "those behind a click" "document.querySelectorAll('#residuals details details
 check brackets "$before residuals $after"
 is "photographs of brackets" "document.querySelectorAll('#photographs .card').length" \
     "$(sed -n 's/^  "photographs": \([0-9]*\).*/\1/p' "$OUT/brackets-scene/report.json")"
+accessible "report of brackets"
 is "places of brackets" "document.querySelectorAll('#cameras .dot').length" 8
 
 for name in black white named; do

@@ -3,71 +3,7 @@
 # it loads nothing, its controls work.
 . tests/e2e/common.bash
 . tests/e2e/browser.bash
-ANGLE="--use-angle=swiftshader --enable-unsafe-swiftshader"
-
-# What every page of this script has: a list of what went wrong, and pictures as base64.
-read -r -d '' HELP <<'END'
-window.errors = [];
-for (const kind of ['error', 'unhandledrejection', 'securitypolicyviolation'])
-  addEventListener(kind, (e) => errors.push(e.message || e.reason || e.blockedURI));
-console.error = console.warn = (...what) => errors.push(what.join(' '));
-async function display(view, ev) {
-  const c = document.getElementById('view');
-  c.style.width = c.style.height = viewer.info.size + 'px';
-  viewer.go(view);
-  viewer.setExposure(ev);
-  await viewer.settled();
-  viewer.draw();
-  return c.toDataURL().split(',')[1];
-}
-function numbers() {
-  const c = document.getElementById('view');
-  const bytes = new Uint8Array(viewer.radiance(0, 0, c.width, c.height).buffer);
-  return btoa(Array.from(bytes, (v) => String.fromCharCode(v)).join(''));
-}
-function exactly() {
-  const c = document.getElementById('view'), out = new Float32Array(4 * c.width * c.height);
-  for (let i = 0; i < c.width * c.height; i++)
-    out.set(viewer.exact(i % c.width, Math.floor(i / c.width)), 4 * i);
-  return btoa(Array.from(new Uint8Array(out.buffer), (v) => String.fromCharCode(v)).join(''));
-}
-async function redrawn() {
-  const start = performance.now();
-  viewer.setCamera(viewer.state.cam);
-  await viewer.settled();
-  viewer.draw();
-  viewer.radiance(0, 0, 1, 1);
-  return performance.now() - start;
-}
-END
-
-open_page() { # address
-    call Page.navigate "{\"url\":\"$1\"}"
-    wait_for "window.viewer && viewer.firstPicture() > 0" true
-}
-
-told() { # regex: the sentence in the page
-    grep -Eq "$1" <<<"$(value "document.getElementById('message').textContent")" ||
-        fail "\"$(value "document.getElementById('message').textContent")\" does not match $1"
-}
-
-# Nothing was complained about, nothing was loaded but the worker from within.
-quiet() { # page
-    [ "$(value "errors.join('; ')")" = "" ] || fail "$1: $(value "errors.join('; ')")"
-    [ "$(value "document.getElementById('message').hidden")" = true ] ||
-        fail "$1: $(value "document.getElementById('message').textContent")"
-    loaded=$(value "performance.getEntriesByType('resource').map((r) => r.name).filter((n) =>
-        !/^(blob|data):/.test(n)).join(' ')")
-    [ "$loaded" = "" ] || fail "$1: $loaded was loaded"
-    [ "$(value "document.getElementById('view').getContext('webgl2').getError()")" = 0 ] ||
-        fail "$1: an error of WebGL"
-}
-
-is() { # expression value
-    local got
-    got=$(value "$1")
-    [ "$got" = "$2" ] || fail "$1 is \"$got\", not \"$2\""
-}
+. tests/e2e/view.bash
 
 # PSNR at least; largest difference, median and 0.99 quantile of relative differences at most.
 # Single pixels differ by more: at the rim of a bright splat, alpha is just above 1/255 or below.
@@ -95,10 +31,7 @@ scene() { # name kind number ev...
     done
 }
 
-SOURCE=$(sed 's/\\/\\\\/g; s/"/\\"/g' <<<"$HELP" | tr '\n' ' ')
-browser_open 800 600 $ANGLE
-call Page.enable '{}'
-call Page.addScriptToEvaluateOnNewDocument "{\"source\":\"$SOURCE\"}"
+open_browser 800 600
 FILE=file://$(realpath "$OUT")
 
 # every degree, the lamp, 1e-4 to 1e5: within half precision, which is 2^-11
@@ -221,30 +154,8 @@ browser_close
 
 # ---- what hands do ----
 
-browser_open 800 600 $ANGLE
-call Page.enable '{}'
-call Page.addScriptToEvaluateOnNewDocument "{\"source\":\"$SOURCE\"}"
+open_browser 800 600
 open_page "$FILE/walls/view.html"
-
-mouse() { # type x y buttons [more]
-    call Input.dispatchMouseEvent \
-        "{\"type\":\"$1\",\"x\":$2,\"y\":$3,\"buttons\":$4,\"button\":\"${6:-left}\"${5:-}}"
-}
-
-drag() { # x y x y [button number]
-    mouse mousePressed "$1" "$2" "${6:-1}" ',"clickCount":1' "${5:-left}"
-    mouse mouseMoved "$3" "$4" "${6:-1}" "" "${5:-left}"
-    mouse mouseReleased "$3" "$4" 0 ',"clickCount":1' "${5:-left}"
-}
-
-press() { # key
-    call Input.dispatchKeyEvent "{\"type\":\"keyDown\",\"key\":\"$1\",\"text\":\"$1\"}"
-    call Input.dispatchKeyEvent "{\"type\":\"keyUp\",\"key\":\"$1\"}"
-}
-
-touch() { # type points
-    call Input.dispatchTouchEvent "{\"type\":\"$1\",\"touchPoints\":[$2]}"
-}
 
 is "document.querySelector('h1').textContent.replace(/\\\\x22/g, '*')" \
     '</title><b>scene</b> & *view*'
@@ -262,7 +173,7 @@ drag 400 200 460 230 right 2
 is "viewer.state.cam.R.join() === before" true
 is "viewer.state.cam.t.join() === t" false
 value "window.focus0 = viewer.state.focus" >/dev/null
-mouse mouseWheel 400 200 0 ',"deltaX":0,"deltaY":-240'
+wheel 400 200 -240
 wait_for "viewer.state.focus < 0.9 * focus0" true
 value "viewer.settled()" >/dev/null
 mouse mouseMoved 300 200 0 "" none
@@ -363,9 +274,7 @@ DISPLAY=:99 PATH=$(realpath "$OUT/bin"):$PATH succeed view "$OUT/one0"
 [ "$(cat "$OUT/opened")" = "$(realpath "$OUT")/one0/view.html" ] || fail "the wrong file was opened"
 "$HDRIG" view "$OUT/one0" --serve >"$OUT/serve.txt" 2>"$ERR" &
 server=$!
-browser_open 800 600 $ANGLE
-call Page.enable '{}'
-call Page.addScriptToEvaluateOnNewDocument "{\"source\":\"$SOURCE\"}"
+open_browser 800 600
 for _ in $(seq 300); do
     [ -s "$OUT/serve.txt" ] && break
     sleep 0.1
