@@ -1,5 +1,5 @@
-/* The page is firmware/web/view.html with @css@, @splats@ and @js@ (the files beside it), @title@,
- * @info@ and @scene@ replaced. @info@ is JSON: what pagesplats.h and pagepack.h call the page's
+/* The page is firmware/web/view.html with @css@, @splats@, @light@ and @js@ (the files beside it),
+ * @title@, @info@ and @scene@ replaced. @info@ is JSON: what pagesplats.h and pagepack.h call the page's
  * numbers, tone curve, background, cameras, photographs as JPEG. @scene@ is the splats. */
 #include "firmware/result/viewer.h"
 
@@ -19,6 +19,7 @@ EMBED_FILE(viewer_html, "firmware/web/view.html");
 EMBED_FILE(viewer_css, "firmware/web/view.css");
 EMBED_FILE(viewer_unpack, "firmware/web/unpack.js");
 EMBED_FILE(viewer_splats, "firmware/web/splats.js");
+EMBED_FILE(viewer_light, "firmware/web/light.js");
 EMBED_FILE(viewer_js, "firmware/web/view.js");
 
 enum { INFO_BYTES = 1 << 15, VIEW_BYTES = 2048, QUALITY = 90 };
@@ -181,16 +182,30 @@ static void put_scene(const struct page *p)
 
 /* ---- the page ---- */
 
+/* Without the indentation, which only the source needs: a twentieth. */
+static void put_source(const char *text, size_t n, FILE *f)
+{
+    bool indents = true;
+    for (size_t i = 0; i < n; i++) {
+        indents = indents && text[i] == ' ';
+        if (!indents)
+            fputc(text[i], f);
+        indents = indents || text[i] == '\n';
+    }
+}
+
 static err_t put_part(const struct page *p, const char *name, size_t n)
 {
     if (strncmp(name, "css", n) == 0)
-        fwrite(viewer_css, 1, viewer_css_size, p->f);
+        put_source(viewer_css, viewer_css_size, p->f);
     else if (strncmp(name, "splats", n) == 0) {
         if (!p->in->lossless)
-            fwrite(viewer_unpack, 1, viewer_unpack_size, p->f);
-        fwrite(viewer_splats, 1, viewer_splats_size, p->f);
-    } else if (strncmp(name, "js", n) == 0)
-        fwrite(viewer_js, 1, viewer_js_size, p->f);
+            put_source(viewer_unpack, viewer_unpack_size, p->f);
+        put_source(viewer_splats, viewer_splats_size, p->f);
+    } else if (strncmp(name, "light", n) == 0)
+        put_source(viewer_light, viewer_light_size, p->f);
+    else if (strncmp(name, "js", n) == 0)
+        put_source(viewer_js, viewer_js_size, p->f);
     else if (strncmp(name, "title", n) == 0)
         put_title(p->in->title, p->f);
     else if (strncmp(name, "info", n) == 0)
@@ -223,7 +238,7 @@ uint64_t viewer_bytes(const struct viewer_input *in)
     uint64_t photo = in->photos ? 3 * (uint64_t)s->size * (uint64_t)s->size + 4096 : 0;
     uint64_t bytes = (uint64_t)s->g.n * splat + (uint64_t)s->n_views * photo;
     return viewer_html_size + viewer_css_size + viewer_unpack_size + viewer_splats_size +
-           viewer_js_size + INFO_BYTES + (uint64_t)s->n_views * VIEW_BYTES +
+           viewer_light_size + viewer_js_size + INFO_BYTES + (uint64_t)s->n_views * VIEW_BYTES +
            16 * (uint64_t)in->n_log2t + 12 * strlen(in->title) + bytes / 3 * 4 + 64;
 }
 

@@ -18,6 +18,7 @@ const TURBO = [ // red, green, blue of the powers 0..5: core/photo/falsecolour.c
   [-42.66032258, 4.84296658, -60.58204836], [132.13108234, -14.18503333, 110.36276771],
   [-152.94239396, 4.27729857, -89.90310912], [59.28637943, 2.82956604, 27.34824973]];
 const FALSE_STOPS = 8;
+const CLIPPED = 0.99, DARK = 0.01; // display values of the brightest colour
 const CURVE_CELLS = 2048;
 
 function tell(sentence) { // "": nothing to tell
@@ -212,9 +213,11 @@ void main() {
 
 /* Curves: logits at even steps from curveLo on, linear between them and beyond, as tonemap.c. */
 const TONE = `
-uniform sampler2D picture, curves;
+uniform sampler2D picture, curves, photo;
 uniform ivec2 size;
-uniform float shift, curveLo, curveScale;
+uniform float shift, curveLo, curveScale, clip;
+uniform vec2 span;
+uniform vec4 box;
 uniform int mode, rough;
 out vec4 pixel;
 
@@ -230,7 +233,7 @@ vec3 srgb(vec3 v) {
 }
 
 vec3 turbo(float stops) {
-  float x = (stops + ${FALSE_STOPS}.0) / ${2 * FALSE_STOPS}.0;
+  float x = (stops - span.x + span.y) / (2.0 * span.y);
   if (!(x >= 0.0)) return vec3(0.0);
   if (x > 1.0) return vec3(1.0);
   vec3 v = vec3(${TURBO[5]});
@@ -243,9 +246,16 @@ void main() {
   vec3 L = rough == 1 ? texture(picture, at / vec2(size)).rgb
                       : texelFetch(picture, ivec2(at), 0).rgb;
   L *= UNIT;
-  if (mode == 0) L = vec3(tone(L.r, 0), tone(L.g, 1), tone(L.b, 2));
-  else if (mode == 1) L = srgb(min(L * exp2(shift + SRGB_EV), 1.0));
-  else L = turbo(log2(dot(L, vec3(0.2126, 0.7152, 0.0722))) + shift + MIDDLE);
+  vec3 shown = vec3(tone(L.r, 0), tone(L.g, 1), tone(L.b, 2));
+  if (mode == 1) L = srgb(min(L * exp2(shift + SRGB_EV), 1.0));
+  else if (mode == 2) L = turbo(log2(dot(L, vec3(0.2126, 0.7152, 0.0722))) + shift + MIDDLE);
+  else L = shown;
+  vec2 p = (at - box.xy) / box.zw; // of the photograph
+  if (box.z > 0.0 && p == clamp(p, 0.0, 1.0)) L = abs(shown - texture(photo, p).rgb) * 4.0;
+  float top = max(shown.r, max(shown.g, shown.b));
+  vec2 cell = fract(at / max(clip, 1.0)) - 0.5; // stripes: clipped, dots: dark
+  if (clip > 0.0 && top > ${CLIPPED}) L = vec3(1.0, 0.4, 0.2) * step(fract(cell.x + cell.y), 0.5);
+  if (clip > 0.0 && top < ${DARK}) L = vec3(0.2, 0.6, 1.0) * step(dot(cell, cell), 0.07);
   pixel = vec4(L, 1.0);
 }`;
 
@@ -530,9 +540,11 @@ function fit(cam, w, h) {
 /* ---- drawing ---- */
 
 /* at, last: of the views; -1: none. focus: distance of what the camera turns around. moving: the
- * picture may be rough; coarse: then, screen pixels for one of the picture; moved: when, ms. */
+ * picture may be rough; coarse: then, screen pixels for one of the picture; moved: when, ms.
+ * middle, reach: stops of the false colours; clip: what is clipped or dark is marked. */
 const state = { cam: null, at: -1, last: 0, focus: 1, ev: 0, tone: 0, wipe: false, split: 50,
-  proven: false, moving: true, coarse: 2, moved: -1e9, probe: null };
+  proven: false, moving: true, coarse: 2, moved: -1e9, probe: null, middle: 0,
+  reach: FALSE_STOPS, clip: false };
 let scheduled = false, stale = true, firstPicture = 0;
 
 function invalidate(geometry) {
@@ -612,10 +624,14 @@ function blend(v) {
 }
 
 function tone() {
-  const p = gpu.tone;
+  const p = gpu.tone, photo = photoTexture(), ratio = canvas.width / canvas.clientWidth || 1;
+  const { left, top, s } = fit(state.cam, canvas.width, canvas.height);
   gl.bindFramebuffer(gl.FRAMEBUFFER, null);
   gl.viewport(0, 0, canvas.width, canvas.height);
-  use(p, { picture: gpu.picture, curves: gpu.curves });
+  use(p, { picture: gpu.picture, curves: gpu.curves, photo: photo || gpu.curves });
+  gl.uniform4f(p.at.box, left, top, photo ? s * state.cam.w : 0, s * state.cam.h);
+  gl.uniform2f(p.at.span, state.middle, state.reach);
+  gl.uniform1f(p.at.clip, state.clip ? 8 * ratio : 0);
   gl.uniform2i(p.at.size, canvas.width, canvas.height);
   gl.uniform1i(p.at.rough, gpu.format === gl.RGBA16F && gpu.pw < canvas.width);
   gl.uniform1f(p.at.shift, state.ev);
@@ -633,6 +649,7 @@ function draw() {
     openPicture(w, h);
     if (sorting.seen) project(v);
     blend(v);
+    gpu.pictures = (gpu.pictures || 0) + 1;
     stale = false;
   }
   if (gpu.picture) tone();
@@ -646,6 +663,7 @@ function frame(now) {
   draw();
   layPhoto();
   showProbe();
+  showLight();
   if (!firstPicture && sorting.seen >= 0) {
     radiance(0, 0, 1, 1); // waits for the picture
     firstPicture = performance.now();
@@ -717,10 +735,17 @@ function exact(x, y) {
   return backdrop().map((v, k) => (sum[k] + through * v) * info.unit);
 }
 
-/* Linear R, G, B, and coverage 0..1, of w x h pixels of the picture. */
-function radiance(x, y, w, h) {
-  const out = new Float32Array(4 * w * h);
-  gl.bindFramebuffer(gl.FRAMEBUFFER, gpu.blended);
-  gl.readPixels(x, y, w, h, gl.RGBA, gl.FLOAT, out);
+/* Linear R, G, B, and coverage 0..1, of w x h pixels of the picture; of `most` of them, evenly. */
+function radiance(x, y, w, h, most = w * h) {
+  const shrink = Math.max(1, Math.sqrt(w * h / most));
+  const [sw, sh] = [w, h].map((v) => Math.max(1, Math.floor(v / shrink)));
+  const small = texture(gpu.format, sw, sh), frame = target([small]);
+  const out = new Float32Array(4 * sw * sh);
+  gl.bindFramebuffer(gl.READ_FRAMEBUFFER, gpu.blended);
+  gl.blitFramebuffer(x, y, x + w, y + h, 0, 0, sw, sh, gl.COLOR_BUFFER_BIT, gl.NEAREST);
+  gl.bindFramebuffer(gl.FRAMEBUFFER, frame);
+  gl.readPixels(0, 0, sw, sh, gl.RGBA, gl.FLOAT, out);
+  gl.deleteFramebuffer(frame);
+  gl.deleteTexture(small);
   return out.map((v, k) => k % 4 === 3 ? v : v * info.unit);
 }

@@ -160,15 +160,17 @@ const keys = {
   "+": () => zoom(1 / 1.1), "=": () => zoom(1 / 1.1), "-": () => zoom(1.1),
   "[": () => setExposure(state.ev - 0.5), "]": () => setExposure(state.ev + 0.5),
   ",": () => go(state.last - 1), ".": () => go(state.last + 1), 0: () => go(state.last),
-  1: () => setTone(0), 2: () => setTone(1), 3: () => setTone(2),
+  1: () => setTone(0), 2: () => setTone(1), 3: () => setTone(2), 4: () => setTone(3),
   c: () => compare(!state.wipe), g: () => hideGuesses(!state.proven),
+  l: () => byId("light").click(), k: () => showClipping(!state.clip), n: pinHere,
+  r: () => byId("region").click(),
   "?": () => byId("guide").showModal(),
 };
 
 function openKeys() {
   document.addEventListener("keydown", (e) => {
     if (e.ctrlKey || e.metaKey || e.altKey || byId("guide").open) return;
-    const own = e.target.matches("input, select, #divider") && /^Arrow/.test(e.key);
+    const own = e.target.matches("input, select, textarea, #divider") && /^Arrow/.test(e.key);
     if (!keys[e.key] || own) return;
     e.preventDefault();
     keys[e.key](e.shiftKey);
@@ -179,21 +181,10 @@ function openKeys() {
 
 const signed = (v) => (v < 0 ? "\u2212" : v > 0 ? "+" : "") + Math.abs(v).toFixed(1);
 
-function digits(v) {
-  if (v === 0) return "0";
-  return v < 1e-3 || v >= 1e4 ? v.toExponential(1) : v.toPrecision(v < 0.1 ? 2 : 3);
-}
-
 function showProbe() {
-  const box = canvas.getBoundingClientRect(), at = state.probe;
-  if (!at || !gpu.picture || stale || state.moving || pointers.size) return;
-  const x = Math.floor((at[0] - box.left) / box.width * gpu.pw);
-  const y = Math.floor((at[1] - box.top) / box.height * gpu.ph);
-  if (x < 0 || y < 0 || x >= gpu.pw || y >= gpu.ph) return;
-  const [r, g, b] = exact(x, y);
-  const light = 0.2126 * r + 0.7152 * g + 0.0722 * b;
-  byId("probe").textContent = [r, g, b].map(digits).join(" ") +
-    (light > 0 ? `  ${signed(Math.log2(light) + info.middle)} stops` : "  no light");
+  if (!state.probe || !gpu.picture || stale || state.moving || pointers.size) return;
+  const at = pixelAt(state.probe);
+  if (at) byId("probe").textContent = inWords(exact(...at));
 }
 
 function showCamera() {
@@ -243,13 +234,15 @@ function setExposure(ev) {
   byId("stops").textContent = `${signed(ev)} EV`;
   for (const tick of byId("ticks").children)
     tick.setAttribute("aria-pressed", Math.abs(tick.dataset.stops - ev) < 0.05);
+  showLegend();
   invalidate(false);
 }
 
 function setTone(mode) {
   state.tone = mode;
   byId("tone").value = mode;
-  byId("legend").hidden = mode !== 2;
+  if (mode === 3) go(state.last), setExposure(info.views[state.last].stops);
+  showLegend();
   invalidate(false);
 }
 
@@ -301,21 +294,6 @@ function openDivider() {
   });
 }
 
-/* Colours of the false-colour scale from -8 to +8 stops. */
-function openLegend() {
-  const colours = [];
-  for (let i = 0; i <= 32; i++) {
-    const c = [0, 1, 2].map((k) => TURBO.reduceRight((sum, p) => sum * i / 32 + p[k], 0));
-    colours.push(`rgb(${c.map((v) => Math.round(255 * Math.max(0, Math.min(1, v))))})`);
-  }
-  byId("legend").style.background = `linear-gradient(90deg, ${colours})`;
-  for (let s = -FALSE_STOPS; s <= FALSE_STOPS; s += 4) {
-    const label = document.createElement("span");
-    label.textContent = s === 0 ? "0 stops" : signed(s).replace(".0", "");
-    byId("legend").append(label);
-  }
-}
-
 function showFacts() {
   byId("facts").textContent = `${info.n.toLocaleString("en")} splats, harmonics of degree ` +
     `${info.degree}; first picture after ${(firstPicture / 1000).toFixed(1)} s.`;
@@ -345,7 +323,7 @@ function openControls() {
     invalidate(false);
   }).observe(byId("stage"));
   openDivider();
-  openLegend();
+  openLightTools();
   openPointers();
   openKeys();
 }

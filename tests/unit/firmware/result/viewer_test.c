@@ -21,7 +21,7 @@
 
 #include <cmocka.h>
 
-enum { SPLATS = 300, DEGREE = 4, SIZE = 24, VIEWS = 2, SPLAT_BYTES = 32, FRAME_MAX = 60000 };
+enum { SPLATS = 300, DEGREE = 4, SIZE = 24, VIEWS = 2, SPLAT_BYTES = 32, FRAME_MAX = 90000 };
 
 static const double sh_c0 = 0.28209479177387814;
 
