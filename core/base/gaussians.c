@@ -82,6 +82,12 @@ static bool repair_splat(const struct gaussians *g, int i)
     return changed;
 }
 
+void gaussians_move(const struct gaussians *g, int from, int to)
+{
+    for (int p = 0; p < gaussians_planes(g->degree) && from != to; p++)
+        g->plane[p][to] = g->plane[p][from];
+}
+
 void gaussians_sanitize(struct gaussians *g, struct gaussians_report *report)
 {
     int n_planes = gaussians_planes(g->degree), kept = 0;
@@ -89,9 +95,7 @@ void gaussians_sanitize(struct gaussians *g, struct gaussians_report *report)
     for (int i = 0; i < g->n; i++) {
         if (!is_finite(g, n_planes, i))
             continue;
-        if (kept != i)
-            for (int p = 0; p < n_planes; p++)
-                g->plane[p][kept] = g->plane[p][i];
+        gaussians_move(g, i, kept);
         report->repaired += repair_splat(g, kept);
         kept++;
     }

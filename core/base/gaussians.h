@@ -31,6 +31,9 @@ struct gaussians_report {
  * out:  *report. */
 void gaussians_sanitize(struct gaussians *g, struct gaussians_report *report);
 
+/* Splat `from` also becomes splat `to`. */
+void gaussians_move(const struct gaussians *g, int from, int to);
+
 /* Make every length `scale` times as long. */
 void gaussians_scale(struct gaussians *g, float scale);
 

@@ -1,5 +1,6 @@
 /* hdrig convert-scene: writes a scene as another kind of file and measures the loss. */
 #include "core/base/num.h"
+#include "core/refine/confidence.h"
 #include "core/splat/path.h"
 #include "firmware/base/engine.h"
 #include "firmware/cmd/cmd.h"
@@ -16,6 +17,7 @@
 #include "drivers/format/spzwrite.h"
 
 #include <math.h>
+#include <stdlib.h>
 #include <string.h>
 #include <sys/stat.h>
 
@@ -24,8 +26,10 @@ enum { VIEWS_MAX = 4, SIDE_MAX = 448 }; // for the comparison
 #define BRIGHT 0.01 // natural logarithm: more than rounding above white
 
 struct request {
-    const char *in, *out, *spz_text, *json;
+    const char *in, *out, *spz_text, *json, *crop;
     struct sceneio_format format;
+    double box[6]; // of crop: x, y, z of its least corner, then of its opposite one
+    bool without_guesses;
     bool readable; // out can be read back
     struct config cfg;
 };
@@ -42,10 +46,64 @@ struct state {
     struct draw draw;
     struct image before[2], after[2]; // display values, radiance
     struct gaussians_report report;
+    int left_out;
     double bytes;
     struct loss loss;
     struct cmd_json json;
 };
+
+/* ---- what is left out ---- */
+
+static err_t read_box(const char *text, double box[6])
+{
+    char *end = NULL;
+    int n = 0;
+    for (const char *at = text; n < 6; at = end + 1) {
+        box[n++] = strtod(at, &end);
+        if (end == at || *end != (n < 6 ? ',' : '\0') || !isfinite(box[n - 1]))
+            return err_fail(ERR_ARG, "--crop: \"%.128s\" is not six numbers like -1,-1,0,1,1,2.5",
+                            text);
+    }
+    for (int k = 0; k < 3; k++)
+        if (box[k] >= box[k + 3])
+            return err_fail(ERR_ARG, "--crop: from %g to %g in %c there is nothing", box[k],
+                            box[k + 3], "xyz"[k]);
+    return OK;
+}
+
+static bool is_wanted(const struct request *rq, const struct scene *s, int i)
+{
+    for (int k = 0; k < 3 && rq->crop; k++) {
+        double v = (double)s->g.plane[G_MU + k][i];
+        if (v < rq->box[k] || v > rq->box[k + 3])
+            return false;
+    }
+    return !rq->without_guesses || s->confidence[i] >= CONFIDENCE_GUESS;
+}
+
+/* What remains keeps its order. */
+static err_t leave_out(const struct request *rq, struct scene *s, int *left_out)
+{
+    int all = s->g.n, n = 0;
+    if (rq->without_guesses && !s->confidence)
+        return err_fail(ERR_ARG,
+                        "%s: does not say which splats are guesses; a result folder and its "
+                        "scene.hdrig do",
+                        rq->in);
+    for (int i = 0; i < all; i++) {
+        if (!is_wanted(rq, s, i))
+            continue;
+        gaussians_move(&s->g, i, n);
+        if (s->confidence)
+            s->confidence[n] = s->confidence[i];
+        n++;
+    }
+    if (n == 0 && all > 0)
+        return err_fail(ERR_ARG, "%s: none of %d splats would be left", rq->in, all);
+    s->g.n = n;
+    *left_out = all - n;
+    return OK;
+}
 
 /* ---- cameras ---- */
 
@@ -234,6 +292,7 @@ static err_t report_losses(const struct request *rq, struct state *st)
     if (st->json.f) {
         report_begin(&rep, st->json.f);
         report_int(&rep, "gaussians", n);
+        report_int(&rep, "left_out", st->left_out);
         report_int(&rep, "sh_degree", st->scene.g.degree);
         report_number(&rep, "bytes", st->bytes);
         report_number(&rep, "bytes_per_gaussian", each);
@@ -251,6 +310,8 @@ static err_t report_losses(const struct request *rq, struct state *st)
     if (!e && lines)
         printf("%s: %d splats of degree %d, %.3f MB, %.2f bytes a splat\n", rq->out, n,
                st->scene.g.degree, st->bytes / 1e6, each);
+    if (!e && lines && st->left_out > 0)
+        printf("%d of %d splats are left out\n", st->left_out, n + st->left_out);
     if (!e && lines && l->views > 0)
         printf("read back, against the original at the middle exposure: display %.1f dB (worst of "
                "%d views %.1f), radiance %.1f dB (%.1f)\n",
@@ -296,6 +357,8 @@ static err_t convert_scene(const struct request *rq, struct state *st)
     if (!e)
         e = sceneio_read(rq->in, &st->engine.keep, &st->scene, &st->report);
     if (!e)
+        e = leave_out(rq, &st->scene, &st->left_out);
+    if (!e)
         e = show_step(st, "write", 0);
     if (!e)
         e = sceneio_write(rq->out, &st->scene, &rq->format);
@@ -322,6 +385,8 @@ static err_t check_request(struct request *rq)
         e = err_fail(ERR_ARG, "%s is both input and output: give another --out", rq->in);
     if (!e && rq->spz_text)
         e = cmd_whole("--spz", rq->spz_text, 3, 4, &rq->format.spz);
+    if (!e && rq->crop)
+        e = read_box(rq->crop, rq->box);
     if (!e)
         e = sceneio_check_place(rq->out, &rq->readable);
     if (!e && rq->format.lossless && rq->readable)
@@ -341,6 +406,10 @@ int cmd_convert_scene_run(int argc, char **argv)
          NULL},
         {"lossless", NULL, ".html with all bits: 32 bytes a splat and more instead of 11 to 14",
          NULL, NULL, &rq.format.lossless},
+        {"crop", "X,Y,Z,X,Y,Z", "leave out splats outside this box; view.html tells its numbers",
+         NULL, &rq.crop, NULL},
+        {"without-guesses", NULL, "leave out splats that the photographs do not prove", NULL, NULL,
+         &rq.without_guesses},
         {"json", "FILE", "figures as JSON, - for stdout", NULL, &rq.json, NULL},
         CMD_THREADS,
         CMD_MEMORY,

@@ -59,6 +59,32 @@ for kind in a.ply b.glb c.hdrig d.spz; do
     [ "$(ls "$OUT/render"/*.png | wc -l)" -eq 4 ] || fail "$kind: not 4 pictures"
 done
 
+# what is left out
+expect 2 '"1,2,3" is not six numbers' convert-scene x.ply --out y.ply --crop 1,2,3
+expect 2 'is not six numbers' convert-scene x.ply --out y.ply --crop 0,0,0,1,1,1,2
+expect 2 'is not six numbers' convert-scene x.ply --out y.ply --crop 0,0,0,1,1,inf
+expect 2 'from 1 to 1 in y there is nothing' convert-scene x.ply --out y.ply --crop 0,1,0,1,1,1
+expect 1 'scene: none of [0-9]* splats would be left' convert-scene "$OUT/scene" \
+    --out "$OUT/g.hdrig" --crop 1e8,1e8,1e8,2e8,2e8,2e8
+expect 1 'a.ply: does not say which splats are guesses' convert-scene "$OUT/a.ply" \
+    --out "$OUT/g.hdrig" --without-guesses
+[ ! -e "$OUT/g.hdrig" ] || fail "a file without splats"
+leave_out() { # what remains and what is left out of IN, with these arguments
+    succeed convert-scene "$@" --out "$OUT/g.hdrig" --json "$OUT/left.json"
+    echo "$(figure "$OUT/left.json" gaussians) $(figure "$OUT/left.json" left_out)"
+}
+read -r all none < <(leave_out "$OUT/scene")
+[ "$none" = 0 ] || fail "$none splats are left out unasked"
+read -r near far < <(leave_out "$OUT/scene" --crop -1e9,-1e9,-1e9,0.1,1e9,1e9)
+read -r rest near_too < <(leave_out "$OUT/scene" --crop 0.1,-1e9,-1e9,1e9,1e9,1e9)
+[ "$near $far" = "$near_too $rest" ] && [ $((near + far)) = "$all" ] && [ "$far" -gt 0 ] ||
+    fail "halves of $near + $far and $rest + $near_too splats of $all"
+read -r proven guesses < <(leave_out "$OUT/scene" --without-guesses)
+[ "$guesses" -gt 0 ] && [ $((proven + guesses)) = "$all" ] || fail "$guesses guesses of $all"
+cp "$OUT/g.hdrig" "$OUT/proven.hdrig"
+[ "$(leave_out "$OUT/proven.hdrig" --without-guesses)" = "$proven 0" ] ||
+    fail "guesses are left, or their mark moved"
+
 # without radiance: what is said is what happens
 says() { # words of the last command
     for word; do grep -q "$word" "$ERR" || fail "no \"$word\": $(cat "$ERR")"; done

@@ -166,6 +166,8 @@ static const struct command commands[] = {
      true,
      {{"--out", PLACE, "new|made|edited|noted|thesis|new.ply|new.hdrig"},
       {"--json", PLACE, NULL},
+      {"--crop", WORD, "-1,-1,0,1,1,3|0,0,0,1,1|1,1,1,0,0,0"},
+      {"--without-guesses", SWITCH, NULL},
       {"--spz", WORD, "3|4|5"}}},
     {"export",
      true,
