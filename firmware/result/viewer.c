@@ -1,6 +1,6 @@
 /* The page is firmware/web/view.html with @css@, @splats@, @light@ and @js@ (the files beside it),
- * @title@, @info@ and @scene@ replaced. @info@ is JSON: what pagesplats.h and pagepack.h call the page's
- * numbers, tone curve, background, cameras, photographs as JPEG. @scene@ is the splats. */
+ * @title@, @info@ and @scene@ replaced. @info@ is JSON: what pagesplats.h and pagepack.h call the
+ * page's numbers, tone curve, background, cameras, photographs as JPEG. @scene@ is the splats. */
 #include "firmware/result/viewer.h"
 
 #include "firmware/result/embed.h"
