@@ -43,8 +43,8 @@ struct bundle_result {
     struct camera
         *cams; // (n_views), fx = fy x v->aspect of the lens, or of the pinhole that the view was
                // resampled to; principal point at the centre;
-    // world: that of `start` (best similarity) or the first placed camera's, where a
-    // typical point lies at distance 1 from the middle of the rig
+    // world: that of `start` (best similarity) or the first placed camera's; unless
+    // rig_known, the cameras' distances from their middle are 1 (root of the mean square)
     float *points;      // (n_tracks, 3), NaN where a track was rejected; finite, but very far away,
                         // where rays are parallel
     float *depth_scale; // (n_views) median of triangulated over start_depth, in out's world; 1 if

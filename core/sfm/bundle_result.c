@@ -10,8 +10,9 @@
 #include <math.h>
 #include <string.h>
 
-static const double CHANCE = 0.2; // redundancy that wrong matches may have
-static const double FAR = 1e-6;   // least w of a point in the result
+static const double CHANCE = 0.2;        // redundancy that wrong matches may have
+static const double FAR = 1e-6;          // least w of a point in the result
+static const double LEAST_SPREAD = 1e-6; // of cameras, typical point at 1: they stood still
 
 double bundle_result_redundancy(const struct bundle *b, const bool *in, bool soft, double *all)
 {
@@ -66,7 +67,32 @@ static struct camera camera_of(const struct bundle *b, int v)
     return cam;
 }
 
-/* World of `start` if there is one, else that of the first placed camera. */
+/* Makes the root of the mean squared distance of the placed cameras from their middle 1: the unit
+ * means nothing, and viewers of the scene expect one of this kind. */
+static void choose_unit(const struct bundle *b, struct world *out)
+{
+    double sum[3] = {0}, square = 0, c[3];
+    int n = 0;
+    for (int v = 0; v < b->n_views; v++) {
+        const double *p = b->best.pose + (size_t)ADJUST_POSE * (size_t)v;
+        if (!b->best.placed[v])
+            continue;
+        lin_apply_t(p, p + 9, c);
+        square += lin_dot(c, c);
+        for (int k = 0; k < 3; k++)
+            sum[k] += c[k];
+        n++;
+    }
+    const double spread = n > 0 ? sqrt(fmax(0, square / n - lin_dot(sum, sum) / n / n)) : 0;
+    if (!(spread > LEAST_SPREAD))
+        return;
+    for (int k = 0; k < 3; k++)
+        out->t[k] /= spread * out->scale;
+    out->scale = 1 / spread;
+}
+
+/* World of `start` if there is one, else that of the first placed camera; but for its unit, unless
+ * the cameras are known. */
 static err_t find_world(const struct bundle *b, struct world *out)
 {
     struct camera from[BUNDLE_VIEWS_MAX], to[BUNDLE_VIEWS_MAX];
@@ -88,14 +114,16 @@ static err_t find_world(const struct bundle *b, struct world *out)
             to[n++] = b->cfg->start[v];
         }
     }
-    if (!b->cfg->start || n == 0)
-        return OK;
-    err_t e = similarity_fit(b->r, from, to, n, &w);
-    if (e || !(w.scale > 0) || !isfinite(w.scale + w.t[0] + w.t[1] + w.t[2]))
+    err_t e = b->cfg->start && n > 0 ? similarity_fit(b->r, from, to, n, &w) : OK;
+    if (e)
         return e;
-    out->scale = w.scale;
-    rotation_from_quat(w.q, out->r);
-    memcpy(out->t, w.t, sizeof out->t);
+    if (b->cfg->start && n > 0 && w.scale > 0 && isfinite(w.scale + w.t[0] + w.t[1] + w.t[2])) {
+        out->scale = w.scale;
+        rotation_from_quat(w.q, out->r);
+        memcpy(out->t, w.t, sizeof out->t);
+    }
+    if (!b->cfg->rig_known)
+        choose_unit(b, out);
     return OK;
 }
 

@@ -234,6 +234,20 @@ static double median_of(double *v, int n)
     return v[n / 2];
 }
 
+/* Root of the mean squared distance of the cameras from their middle. */
+static double spread_of(const struct camera *cams, int n)
+{
+    double sum[3] = {0}, square = 0, c[3];
+    for (int v = 0; v < n; v++) {
+        rotation_centre(&cams[v], c);
+        square += lin_dot(c, c) / n;
+        for (int k = 0; k < 3; k++)
+            sum[k] += c[k] / n;
+    }
+    return sqrt(square - lin_dot(sum, sum));
+}
+
+/* But for its unit: that of the cameras is 1. */
 static void world_of_the_start(void **unused)
 {
     (void)unused;
@@ -257,19 +271,22 @@ static void world_of_the_start(void **unused)
                 (float)(obs->view == 3 ? 2 * z : z);
     }
     run_ok(&j, &(struct bundle_config){.start = s->cams, .start_depth = depth});
+    const double unit = spread_of(s->cams, s->n_views);
+    assert_float_equal(spread_of(j.out.cams, s->n_views), 1, 1e-4);
     for (int v = 0; v < s->n_views; v++) {
         double a[3], b[3];
         rotation_centre(&j.out.cams[v], a);
         rotation_centre(&s->cams[v], b);
         for (int k = 0; k < 3; k++)
-            assert_float_equal(a[k], b[k], 0.03);
-        assert_float_equal(j.out.depth_scale[v], v == 3 ? 0.5f : 1, v == 3 ? 0.015f : 0.03f);
+            assert_float_equal(unit * a[k], b[k], 0.03);
+        assert_float_equal(unit * (double)j.out.depth_scale[v], v == 3 ? 0.5 : 1,
+                           v == 3 ? 0.015 : 0.03);
     }
     for (int t = 0; t < j.tracks.t.n_tracks; t++) {
         const float *p = j.out.points + 3 * t;
         double d[3];
         for (int k = 0; k < 3; k++)
-            d[k] = (double)p[k] - j.tracks.point[t][k];
+            d[k] = unit * (double)p[k] - j.tracks.point[t][k];
         if (!isnan(p[0]))
             off[n++] = sqrt(lin_dot(d, d));
     }
