@@ -18,9 +18,9 @@ enum {
     BLOCK = 1 << 12
 };
 
-#define POSITION_SHARE 0.125 // of a small splat's size: a step
+#define POSITION_SHARE 0.0625 // of a small splat's size: a step
 #define SMALL_QUANTILE 0.25f
-#define SH_STEP (1.0 / 32)
+#define SH_STEP 0.1
 
 struct place {
     uint64_t key;
@@ -67,6 +67,7 @@ static void find_middle(const struct packer *k, int n, int every)
     float *v = k->sample;
     const struct gaussians *g = &k->p->scene->g;
     struct pagepack *o = k->out;
+    o->reach = 0;
     for (int c = 0; c < 3; c++) {
         for (int i = 0; i < n; i++)
             v[i] = g->plane[G_MU + c][k->place[i * every].splat];
@@ -243,7 +244,8 @@ static err_t put_quats(struct packer *k)
     for (int c = 0; c < 3 && !e; c++) {
         for (int i = 0; i < k->p->n; i++) {
             const int v = (k->numbers[i][PAGESPLATS_QUAT + c] & 0x7fff) - 16383;
-            k->value[i] = zigzag((int32_t)lround((double)v / PAGEPACK_QUAT));
+            const long most = 16383 / PAGEPACK_QUAT, step = lround((double)v / PAGEPACK_QUAT);
+            k->value[i] = zigzag((int32_t)(step < -most ? -most : step > most ? most : step));
         }
         e = put_field(k, 2);
     }

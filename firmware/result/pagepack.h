@@ -1,5 +1,5 @@
-/* pagepack.h - the splats of view.html in 11 to 14 bytes each, and 5 to 9 for the harmonics of
- * degree 2: coarser steps, neighbours in space one after the other, bytes of like meaning together,
+/* pagepack.h - the splats of view.html in 13 bytes each, and 8 to 9 for harmonics of degree 3:
+ * coarser steps, neighbours in space one after the other, bytes of like meaning together,
  * and gzip around all of it. firmware/web/splats.js makes of them what pagesplats.h describes.
  *
  * One gzip stream: fields, each of n numbers; a number is a whole one, and a field has the lowest
@@ -20,12 +20,12 @@
 #include "firmware/result/pagesplats.h"
 
 enum {
-    PAGEPACK_QUAT = 32,       // steps of pagesplats.h in one of these
+    PAGEPACK_QUAT = 64,       // steps of pagesplats.h in one of these
     PAGEPACK_FIRST = 1 << 17, // splats shown first, in scenes of more than twice as many
 };
 
 /* Least steps of scales, logits and log radiance: tests/measured.md has what others cost. */
-#define PAGEPACK_STEP (1.0 / 64)
+#define PAGEPACK_STEP (1.0 / 48)
 
 struct pagepack {
     double at[3], reach, step; // of positions

@@ -102,9 +102,9 @@ static void put_steps(const struct page *p, FILE *f)
         return;
     fprintf(f,
             "\"packed\":{\"bytes\":%zu,\"at\":[%.17g,%.17g,%.17g],\"reach\":%.17g,\"step\":%.17g,"
-            "\"low\":[%d,%d,%d],\"sh\":%.17g,\"first\":%d},",
+            "\"low\":[%d,%d,%d],\"quat\":%d,\"sh\":%.17g,\"first\":%d},",
             k->n_bytes, k->at[0], k->at[1], k->at[2], k->reach, k->step, k->low[0], k->low[1],
-            k->low[2], k->sh, k->first);
+            k->low[2], PAGEPACK_QUAT, k->sh, k->first);
 }
 
 static err_t put_info(const struct page *p, FILE *f)

@@ -144,7 +144,7 @@ function inflate(bytes, size) {
 
 /* Half floats of the 65,536 numbers of a field, times `step`: 0, or not below 2^-14. */
 function halvesOf(step) {
-  const floats = new Float32Array(1 << 16).map((_, v) => signed(v) * step);
+  const floats = new Float32Array(1 << 16).map((_, v) => unfold(v) * step);
   return Uint16Array.from(new Uint32Array(floats.buffer), (word) => {
     const rounded = word + 0x1000, exponent = (rounded >>> 23 & 255) - 112;
     return word >>> 16 & 0x8000 |
@@ -152,7 +152,7 @@ function halvesOf(step) {
   });
 }
 
-const signed = (v) => v & 1 ? -(v + 1) / 2 : v / 2;
+const unfold = (v) => v & 1 ? -(v + 1) / 2 : v / 2;
 
 /* Fields of pagepack.h become the splats of pagesplats.h. */
 function unpack(bytes) {
@@ -170,7 +170,7 @@ function unpack(bytes) {
     let v = packed.low[k];
     next(3);
     for (let i = 0; i < n; i++) {
-      v += signed(value[i]);
+      v += unfold(value[i]);
       floats[8 * i + k] = packed.at[k] + packed.reach * Math.sinh(v * packed.step);
     }
   }
@@ -180,7 +180,7 @@ function unpack(bytes) {
   }
   for (let k = 10; k < 13; k++) { // quaternion
     next(2);
-    for (let i = 0; i < n; i++) words[16 * i + k] = 16383 + 32 * signed(value[i]);
+    for (let i = 0; i < n; i++) words[16 * i + k] = 16383 + packed.quat * unfold(value[i]);
   }
   next(1);
   for (let i = 0; i < n; i++)
@@ -189,7 +189,7 @@ function unpack(bytes) {
   for (let i = 0; i < n; i++) words[16 * i + 14] = value[i];
   for (let k = 13; k < 16; k += 2) {
     next(2);
-    for (let i = 0; i < n; i++) words[16 * i + k] = words[16 * i + 14] + signed(value[i]);
+    for (let i = 0; i < n; i++) words[16 * i + k] = words[16 * i + 14] + unfold(value[i]);
   }
   const halves = coefficients > 1 ? halvesOf(packed.sh) : null;
   for (let j = 0; j < 3 * (coefficients - 1); j++) {

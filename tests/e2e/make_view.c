@@ -1,4 +1,5 @@
-/* make_view OUT KIND NUMBER - scenes that are hard to show, as OUT/scene.hdrig and OUT/view.html:
+/* make_view OUT KIND NUMBER - scenes that are hard to show, as OUT/scene.hdrig, OUT/small.html and,
+ * without loss, if they have at most LOSSLESS_MAX splats, OUT/view.html:
  *   thin D     half transparent splats of SH degree D, a lamp ten stops above them, and radiance
  *              from 1e-4 to 1e5
  *   walls N    N splats, many of them opaque, with the same light
@@ -22,7 +23,7 @@
 #include <string.h>
 #include <sys/stat.h>
 
-enum { VIEWS = 3, SIZE = 112, THIN = 1500 };
+enum { VIEWS = 3, SIZE = 112, THIN = 1500, LOSSLESS_MAX = 10000 };
 
 static uint32_t seed = 1;
 
@@ -160,8 +161,13 @@ static err_t write_files(const char *out, struct scene *s, const uint8_t *photos
     char path[FILE_PATH_CAP];
     struct viewer_input page = {
         .scene = s, .photos = photos, .title = "</title><b>scene</b> & \"view\""};
-    err_t e = file_join(out, "view.html", path);
+    err_t e = file_join(out, "small.html", path);
     if (!e)
+        e = viewer_write(path, &page);
+    page.lossless = true;
+    if (!e)
+        e = file_join(out, "view.html", path);
+    if (!e && s->g.n <= LOSSLESS_MAX)
         e = viewer_write(path, &page);
     keep_proven(s);
     if (!e)
