@@ -152,49 +152,30 @@ function halvesOf(step) {
   });
 }
 
-const unfold = (v) => v & 1 ? -(v + 1) / 2 : v / 2;
+const unfold = (v) => v >>> 1 ^ -(v & 1);
 
 /* Fields of pagepack.h become the splats of pagesplats.h. */
 function unpack(bytes) {
   const { n, packed } = info, out = new ArrayBuffer(n * (32 + 16 * shTexels));
   const floats = new Float32Array(out, 0, 8 * n), words = new Uint16Array(out);
-  const value = new Int32Array(n);
-  let from = 0;
-  function next(width) { // field
-    for (let i = 0; i < n; i++) value[i] = bytes[from + i];
-    for (let k = 1; k < width; k++)
-      for (let i = 0; i < n; i++) value[i] |= bytes[from + k * n + i] << 8 * k;
-    from += width * n;
-  }
-  for (let k = 0; k < 3; k++) {
-    let v = packed.low[k];
-    next(3);
-    for (let i = 0; i < n; i++) {
-      v += unfold(value[i]);
-      floats[8 * i + k] = packed.at[k] + packed.reach * Math.sinh(v * packed.step);
+  const halves = coefficients > 1 ? halvesOf(packed.sh) : null, at = packed.low.slice();
+  const two = (from) => bytes[from] | bytes[from + n] << 8; // bytes of the number there
+  for (let i = 0; i < n; i++) {
+    const to = 16 * i, sh = 16 * n + 8 * shTexels * i, green = two(24 * n + i);
+    for (let k = 0; k < 3; k++) {
+      const from = 3 * k * n + i;
+      at[k] += unfold(two(from) | bytes[from + 2 * n] << 16);
+      floats[8 * i + k] = packed.at[k] + packed.reach * Math.sinh(at[k] * packed.step);
     }
-  }
-  for (let k = 6; k < 10; k++) { // scales, logit
-    next(2);
-    for (let i = 0; i < n; i++) words[16 * i + k] = value[i];
-  }
-  for (let k = 10; k < 13; k++) { // quaternion
-    next(2);
-    for (let i = 0; i < n; i++) words[16 * i + k] = 16383 + packed.quat * unfold(value[i]);
-  }
-  next(1);
-  for (let i = 0; i < n; i++)
-    for (let k = 0; k < 3; k++) words[16 * i + 10 + k] |= (value[i] >> k & 1) << 15;
-  next(2); // green, red, blue
-  for (let i = 0; i < n; i++) words[16 * i + 14] = value[i];
-  for (let k = 13; k < 16; k += 2) {
-    next(2);
-    for (let i = 0; i < n; i++) words[16 * i + k] = words[16 * i + 14] + unfold(value[i]);
-  }
-  const halves = coefficients > 1 ? halvesOf(packed.sh) : null;
-  for (let j = 0; j < 3 * (coefficients - 1); j++) {
-    next(2);
-    for (let i = 0; i < n; i++) words[16 * n + 8 * shTexels * i + j] = halves[value[i]];
+    for (let k = 0; k < 4; k++) words[to + 6 + k] = two((9 + 2 * k) * n + i);
+    for (let k = 0; k < 3; k++)
+      words[to + 10 + k] = 16383 + packed.quat * unfold(two((17 + 2 * k) * n + i)) |
+        (bytes[23 * n + i] >> k & 1) << 15;
+    words[to + 13] = green + unfold(two(26 * n + i));
+    words[to + 14] = green;
+    words[to + 15] = green + unfold(two(28 * n + i));
+    for (let j = 0; j < 3 * (coefficients - 1); j++)
+      words[sh + j] = halves[two((30 + 2 * j) * n + i)];
   }
   return out;
 }
