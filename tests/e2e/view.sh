@@ -250,7 +250,7 @@ call Emulation.setTouchEmulationEnabled '{"enabled":true,"maxTouchPoints":5}'
 open_page "$FILE/walls/view.html"
 is "document.documentElement.scrollWidth <= innerWidth" true
 is "document.getElementById('view').clientHeight > 0.6 * innerHeight" true
-is "Array.from(document.querySelectorAll('.row button, header button')).every((b) =>
+is "Array.from(document.querySelectorAll('footer .row button, header button')).every((b) =>
     b.clientHeight >= 36)" true
 touch touchStart '{"x":180,"y":300,"id":1}'
 touch touchMove '{"x":220,"y":300,"id":1}'
