@@ -59,7 +59,8 @@ END
 open_browser() { # width height
     local source
     source=$(sed 's/\\/\\\\/g; s/"/\\"/g' <<<"$HELP" | tr '\n' ' ')
-    browser_open "$1" "$2" --use-angle=swiftshader --enable-unsafe-swiftshader
+    browser_open "$1" "$2" --use-angle=swiftshader --enable-unsafe-swiftshader \
+        --disable-background-networking --disable-component-update --disable-sync --no-first-run
     call Page.enable '{}'
     call Page.addScriptToEvaluateOnNewDocument "{\"source\":\"$source\"}"
 }

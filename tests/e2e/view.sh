@@ -40,8 +40,8 @@ scene() { # name kind number ev...
     done
 }
 
-open_browser 800 600
 FILE=file://$(realpath "$OUT")
+open_browser 800 600
 
 # every degree, the lamp, 1e-4 to 1e5: within half precision, which is 2^-11
 for degree in 0 1 2 3 4; do
