@@ -1,11 +1,14 @@
-/* The page is firmware/web/view.html with @css@, @splats@, @light@ and @js@ (the files beside it),
- * @title@, @info@ and @scene@ replaced. @info@ is JSON: what pagesplats.h and pagepack.h call the
- * page's numbers, tone curve, background, cameras, photographs as JPEG. @scene@ is the splats. */
+/* The page is firmware/web/view.html with @css@, @splats@, @light@, @tools@ and @js@ (the files
+ * beside it), @title@, @info@ and @scene@ replaced. @info@ is JSON: what pagesplats.h and
+ * pagepack.h call the page's numbers, tone curve, background, cameras, photographs as JPEG.
+ * @scene@ is the splats. */
 #include "firmware/result/viewer.h"
 
 #include "firmware/result/embed.h"
 #include "firmware/result/pagepack.h"
 
+#include "core/base/gaussians.h"
+#include "core/base/rotation.h"
 #include "core/splat/display.h"
 #include "drivers/format/file.h"
 #include "drivers/format/img.h"
@@ -21,6 +24,7 @@ EMBED_FILE(viewer_unpack, "firmware/web/unpack.js");
 EMBED_FILE(viewer_splats, "firmware/web/splats.js");
 EMBED_FILE(viewer_light, "firmware/web/light.js");
 EMBED_FILE(viewer_js, "firmware/web/view.js");
+EMBED_FILE(viewer_tools, "firmware/web/tools.js");
 
 enum { INFO_BYTES = 1 << 15, VIEW_BYTES = 2048, QUALITY = 90 };
 
@@ -37,6 +41,50 @@ static int page_degree(int n, int degree)
            (int64_t)n * (PAGESPLATS_BYTES + pagesplats_sh_bytes(degree)) > VIEWER_SCENE_MAX)
         degree--;
     return degree;
+}
+
+/* ---- first view ---- */
+
+enum { CELLS = 16, LOOKED_AT = 1 << 14 }; // of a picture's edge; splats, about
+
+/* The part of a view's picture in which there are proven splats, times their number. */
+static double sight_of_view(const struct page *p, int view)
+{
+    const struct scene *s = p->in->scene;
+    const struct camera *c = &s->cams[view];
+    const float *const *mu = (const float *const *)&s->g.plane[G_MU];
+    bool seen[CELLS * CELLS] = {0};
+    double r[9], at[3], cells = 0, n = 0;
+    rotation_of_camera(c, r);
+    for (int i = 0; i < s->g.n; i += 1 + s->g.n / LOOKED_AT) {
+        if (!pagesplats_is_drawn(&s->g, i) || pagesplats_is_guess(s, i))
+            continue;
+        for (int k = 0; k < 3; k++)
+            at[k] = (double)c->t[k] + r[3 * k] * (double)mu[0][i] +
+                    r[3 * k + 1] * (double)mu[1][i] + r[3 * k + 2] * (double)mu[2][i];
+        double u = ((double)c->fx * at[0] / at[2] + (double)c->cx) / c->w;
+        double v = ((double)c->fy * at[1] / at[2] + (double)c->cy) / c->h;
+        if (!(at[2] > 0 && u >= 0 && u < 1 && v >= 0 && v < 1))
+            continue;
+        bool *cell = &seen[(int)(v * CELLS) * CELLS + (int)(u * CELLS)];
+        cells += !*cell;
+        *cell = true;
+        n++;
+    }
+    return cells * n;
+}
+
+static int best_view(const struct page *p)
+{
+    double most = 0;
+    int best = 0;
+    for (int i = 0; i < p->in->scene->n_views; i++) {
+        double sight = sight_of_view(p, i);
+        if (sight > most)
+            best = i;
+        most = fmax(most, sight);
+    }
+    return best;
 }
 
 /* ---- data of the page ---- */
@@ -119,7 +167,7 @@ static err_t put_info(const struct page *p, FILE *f)
     int guesses = 0;
     for (int i = 0; i < s->g.n; i++)
         guesses += pagesplats_is_drawn(&s->g, i) && pagesplats_is_guess(s, i);
-    fprintf(f, "\"guesses\":%d,", guesses);
+    fprintf(f, "\"guesses\":%d,\"first\":%d,", guesses, best_view(p));
     put_floats(f, "background", s->background, 3);
     fputc(',', f);
     put_floats(f, "tone", s->tone.p, TONE_PARAMS);
@@ -182,30 +230,36 @@ static void put_scene(const struct page *p)
 
 /* ---- the page ---- */
 
-/* Without the indentation, which only the source needs: a twentieth. */
-static void put_source(const char *text, size_t n, FILE *f)
+/* Indentation and comments, which begin their lines and end theirs, are for readers of the source.
+ * The text ends with a newline. */
+static void put_code(const char *text, size_t bytes, FILE *f)
 {
-    bool indents = true;
-    for (size_t i = 0; i < n; i++) {
-        indents = indents && text[i] == ' ';
-        if (!indents)
-            fputc(text[i], f);
-        indents = indents || text[i] == '\n';
+    bool comment = false;
+    for (const char *at = text, *next; at < text + bytes; at = next) {
+        next = strchr(at, '\n') + 1;
+        at += strspn(at, " ");
+        comment |= strncmp(at, "/*", 2) == 0;
+        if (!comment)
+            fwrite(at, 1, (size_t)(next - at), f);
+        else
+            comment = strncmp(next - 3, "*/", 2) != 0;
     }
 }
 
 static err_t put_part(const struct page *p, const char *name, size_t n)
 {
     if (strncmp(name, "css", n) == 0)
-        put_source(viewer_css, viewer_css_size, p->f);
+        put_code(viewer_css, viewer_css_size, p->f);
     else if (strncmp(name, "splats", n) == 0) {
         if (!p->in->lossless)
-            put_source(viewer_unpack, viewer_unpack_size, p->f);
-        put_source(viewer_splats, viewer_splats_size, p->f);
+            put_code(viewer_unpack, viewer_unpack_size, p->f);
+        put_code(viewer_splats, viewer_splats_size, p->f);
     } else if (strncmp(name, "light", n) == 0)
-        put_source(viewer_light, viewer_light_size, p->f);
+        put_code(viewer_light, viewer_light_size, p->f);
+    else if (strncmp(name, "tools", n) == 0)
+        put_code(viewer_tools, viewer_tools_size, p->f);
     else if (strncmp(name, "js", n) == 0)
-        put_source(viewer_js, viewer_js_size, p->f);
+        put_code(viewer_js, viewer_js_size, p->f);
     else if (strncmp(name, "title", n) == 0)
         put_title(p->in->title, p->f);
     else if (strncmp(name, "info", n) == 0)

@@ -1,5 +1,5 @@
 /* viewer.h - view.html: a scene in one page that opens from the disk, without network or server.
- * firmware/web/view.{html,css,js} and splats.js, with the scene behind them.
+ * firmware/web/view.{html,css,js}, splats.js, light.js and tools.js, with the scene behind them.
  * thread: any. */
 #ifndef RESULT_VIEWER_H
 #define RESULT_VIEWER_H

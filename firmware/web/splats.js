@@ -19,6 +19,7 @@ const TURBO = [ // red, green, blue of the powers 0..5: core/photo/falsecolour.c
   [-152.94239396, 4.27729857, -89.90310912], [59.28637943, 2.82956604, 27.34824973]];
 const FALSE_STOPS = 8;
 const CLIPPED = 0.99, DARK = 0.01; // display values of the brightest colour
+const NO_BOX = [-1e9, -1e9, -1e9, 1e9, 1e9, 1e9];
 const CURVE_CELLS = 2048;
 
 function tell(sentence) { // "": nothing to tell
@@ -105,7 +106,9 @@ uniform mat3 R;
 uniform vec3 T, centre;
 uniform vec4 K, lim;
 uniform vec2 size;
-uniform int seen, proven;
+uniform int seen;
+uniform float guesses;
+uniform vec3 boxLo, boxHi;
 layout(location = 0) out vec4 place;
 layout(location = 1) out vec4 shape;
 layout(location = 2) out vec4 colour;
@@ -149,9 +152,11 @@ void main() {
   if (slot >= seen) return;
   int i = int(texelFetch(order, AT(slot), 0).x);
   uvec4 a = texelFetch(splats, AT(2 * i), 0), b = texelFetch(splats, AT(2 * i + 1), 0);
-  if (proven == 1 && (b.z & 0x8000u) != 0u) return;
+  float kept = (b.z & 0x8000u) != 0u ? guesses : 1.0; // of its opacity
+  if (kept == 0.0) return;
   vec3 m = uintBitsToFloat(a.xyz), p = R * m + T;
   if (!(p.z >= 1e-10 && p.z <= 1e10)) return;
+  if (any(lessThan(m, boxLo)) || any(greaterThan(m, boxHi))) return;
   vec3 s = exp(vec3(halves(a.w), b.x & 0xffffu) * SCALE_STEP + SCALE_LO);
   float logit = float(b.x >> 16) * LOGIT_STEP + LOGIT_LO;
   mat3 V = transpose(R * rotation(b.y & 0xffffu, b.y >> 16, b.z & 0xffffu));
@@ -162,7 +167,8 @@ void main() {
   vec3 x = cross(n0, n1);
   float det = dot(x, x) + 0.3 * (nn0 + nn1) + 0.09, xx = nn0 + 0.3, yy = nn1 + 0.3;
   if (!(xx + yy < 1e18 && det > 0.0)) return;
-  float top = -log2(1.0 + exp(-logit)), reach = (top - (${LOG2_ALPHA_MIN})) * 1.38629436;
+  float top = log2(kept) - log2(1.0 + exp(-logit));
+  float reach = (top - (${LOG2_ALPHA_MIN})) * 1.38629436;
   if (reach < 0.0) return;
   float half_ = 0.5 * (xx - yy);
   float r = ceil(3.0 * sqrt(0.5 * (xx + yy) + sqrt(max(half_ * half_ + xy * xy, 0.01))));
@@ -173,7 +179,7 @@ void main() {
   place = vec4(at, bx.x * 4096.0 + bx.y, by.x * 4096.0 + by.y);
   shape = vec4(0.72134752 * yy / det, xy / yy, 0.72134752 / yy, top);
   vec3 dc = vec3(b.z >> 16, halves(b.w)) * LIGHT_STEP + LIGHT_LO;
-  colour = vec4(min(radiance(i, dc, m - centre) / UNIT, 65504.0), 0.0);
+  colour = vec4(min(radiance(i, dc, m - centre) / UNIT, 65504.0), p.z);
 }`;
 
 /* A quad of four corners for each splat; the pixels of its box are exactly those of raster.c. */
@@ -211,14 +217,16 @@ void main() {
   pixel = vec4(light * alpha, alpha);
 }`;
 
-/* Curves: logits at even steps from curveLo on, linear between them and beyond, as tonemap.c. */
+/* Curves: logits at even steps from curveLo on, linear between them and beyond, as tonemap.c.
+ * frame: x, y of its corners; outside: how much of what is outside is shown. Where splats hardly
+ * cover it is hatched: nobody saw that, and the background of a scene is the mean of what was. */
 const TONE = `
 uniform sampler2D picture, curves, photo;
 uniform ivec2 size;
-uniform float shift, curveLo, curveScale, clip;
 uniform vec2 span;
-uniform vec4 box;
-uniform int mode, rough;
+uniform vec4 box, frame;
+uniform float shift, curveLo, curveScale, clip, hatch, outside;
+uniform int mode, rough, unseen;
 out vec4 pixel;
 
 float tone(float L, int c) {
@@ -243,9 +251,8 @@ vec3 turbo(float stops) {
 
 void main() {
   vec2 at = vec2(gl_FragCoord.x, float(size.y) - gl_FragCoord.y);
-  vec3 L = rough == 1 ? texture(picture, at / vec2(size)).rgb
-                      : texelFetch(picture, ivec2(at), 0).rgb;
-  L *= UNIT;
+  vec4 P = rough == 1 ? texture(picture, at / vec2(size)) : texelFetch(picture, ivec2(at), 0);
+  vec3 L = P.rgb * UNIT;
   vec3 shown = vec3(tone(L.r, 0), tone(L.g, 1), tone(L.b, 2));
   if (mode == 1) L = srgb(min(L * exp2(shift + SRGB_EV), 1.0));
   else if (mode == 2) L = turbo(log2(dot(L, vec3(0.2126, 0.7152, 0.0722))) + shift + MIDDLE);
@@ -256,7 +263,10 @@ void main() {
   vec2 cell = fract(at / max(clip, 1.0)) - 0.5; // stripes: clipped, dots: dark
   if (clip > 0.0 && top > ${CLIPPED}) L = vec3(1.0, 0.4, 0.2) * step(fract(cell.x + cell.y), 0.5);
   if (clip > 0.0 && top < ${DARK}) L = vec3(0.2, 0.6, 1.0) * step(dot(cell, cell), 0.07);
-  pixel = vec4(L, 1.0);
+  float known = clamp(2.0 * P.a - 0.5, 0.0, 1.0);
+  if (any(lessThan(at, frame.xy)) || any(greaterThan(at, frame.zw))) known *= outside;
+  vec3 back = vec3(0.078, 0.082, 0.09) * (fract((at.x + at.y) / hatch) < 0.2 ? 1.8 : 1.0);
+  pixel = vec4(unseen == 1 ? L : mix(back, L, known), 1.0);
 }`;
 
 const canvas = byId("view");
@@ -539,12 +549,14 @@ function fit(cam, w, h) {
 
 /* ---- drawing ---- */
 
-/* at, last: of the views; -1: none. focus: distance of what the camera turns around. moving: the
- * picture may be rough; coarse: then, screen pixels for one of the picture; moved: when, ms.
+/* at, last: of the views; -1: none. focus: distance of what the camera turns around. guesses: how
+ * much of them is drawn; outside: how much of what is outside the camera's picture; unseen: whether
+ * what no photograph shows is drawn; box: which splats are drawn, from x, y, z to x, y, z. moving:
+ * the picture may be rough; coarse: then, screen pixels for one of the picture; moved: when, ms.
  * middle, reach: stops of the false colours; clip: what is clipped or dark is marked. */
 const state = { cam: null, at: -1, last: 0, focus: 1, ev: 0, tone: 0, wipe: false, split: 50,
-  proven: false, moving: true, coarse: 2, moved: -1e9, probe: null, middle: 0,
-  reach: FALSE_STOPS, clip: false };
+  proven: false, guesses: 1, outside: 0, unseen: false, box: NO_BOX,
+  moving: true, coarse: 2, moved: -1e9, probe: null, middle: 0, reach: FALSE_STOPS, clip: false };
 let scheduled = false, stale = true, firstPicture = 0;
 
 function invalidate(geometry) {
@@ -599,7 +611,9 @@ function project(v) {
     v.cy / v.fy + my, (v.h - v.cy) / v.fy + my);
   gl.uniform2f(p.at.size, v.w, v.h);
   gl.uniform1i(p.at.seen, sorting.seen);
-  gl.uniform1i(p.at.proven, state.proven);
+  gl.uniform1f(p.at.guesses, state.proven ? 0 : state.guesses);
+  gl.uniform3fv(p.at.boxLo, state.box.slice(0, 3));
+  gl.uniform3fv(p.at.boxHi, state.box.slice(3));
   gl.drawArrays(gl.TRIANGLES, 0, 3);
 }
 
@@ -638,6 +652,11 @@ function tone() {
   gl.uniform1f(p.at.curveLo, gpu.curve.lo);
   gl.uniform1f(p.at.curveScale, gpu.curve.scale);
   gl.uniform1i(p.at.mode, state.tone);
+  gl.uniform1i(p.at.unseen, state.unseen);
+  gl.uniform1f(p.at.hatch, 10 * canvas.width / canvas.clientWidth);
+  const v = fit(state.cam, canvas.width, canvas.height);
+  gl.uniform1f(p.at.outside, state.outside);
+  gl.uniform4f(p.at.frame, v.left, v.top, v.w - v.left, v.h - v.top);
   gl.drawArrays(gl.TRIANGLES, 0, 3);
 }
 
@@ -716,23 +735,41 @@ function listed() {
   });
 }
 
-/* Linear R, G, B of a pixel of the picture, by the rules of raster.c. */
-function exact(x, y) {
+/* What a pixel of the picture shows, nearest first, by the rules of raster.c: meet gets the texel
+ * of each splat's radiance and depth, and its share of the pixel. Returns the background's. */
+function through(x, y, meet) {
   gpu.listed = gpu.listed || listed();
-  const [place, shape, colour] = gpu.listed, sum = [0, 0, 0];
+  const [place, shape, colour] = gpu.listed;
   const misses = (range, v) => v < Math.floor(range / 4096) || v > range % 4096;
-  let through = 1;
+  let rest = 1;
   for (let o = 0; o < 4 * sorting.seen; o += 4) {
     if (place[o + 2] < 0 || misses(place[o + 2], x) || misses(place[o + 3], y)) continue;
     const dy = place[o + 1] - y - 0.5, dx = place[o] - x - 0.5 - shape[o + 1] * dy;
     const power = shape[o + 3] - shape[o] * dx * dx - shape[o + 2] * dy * dy;
     if (power < LOG2_ALPHA_MIN) continue;
-    const alpha = Math.min(2 ** power, ALPHA_MAX), next = through * (1 - alpha);
+    const alpha = Math.min(2 ** power, ALPHA_MAX), next = rest * (1 - alpha);
     if (next <= STOP) break;
-    for (let k = 0; k < 3; k++) sum[k] += through * alpha * colour[o + k];
-    through = next;
+    meet(colour.subarray(o, o + 4), rest * alpha);
+    rest = next;
   }
-  return backdrop().map((v, k) => (sum[k] + through * v) * info.unit);
+  return rest;
+}
+
+/* Linear R, G, B of a pixel of the picture. */
+function exact(x, y) {
+  const sum = [0, 0, 0];
+  const rest = through(x, y, (light, share) => {
+    for (let k = 0; k < 3; k++) sum[k] += share * light[k];
+  });
+  return backdrop().map((v, k) => (sum[k] + rest * v) * info.unit);
+}
+
+/* Depth that half of a pixel's cover lies before, scene units; 0: it is hardly covered. */
+function depthAt(x, y) {
+  const met = [];
+  const half = (1 - through(x, y, (light, share) => met.push([light[3], share]))) / 2;
+  let sum = 0;
+  return half < 0.125 ? 0 : met.find(([, share]) => (sum += share) >= half)[0];
 }
 
 /* Linear R, G, B, and coverage 0..1, of w x h pixels of the picture; of `most` of them, evenly. */

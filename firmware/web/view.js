@@ -16,9 +16,9 @@ const median = (list) => list.sort((a, b) => a - b)[list.length >> 1];
 
 /* Median depth of the splats in the middle of the picture, or of all before the camera. */
 function focusOf(cam) {
-  const inner = [], all = [];
+  const inner = [], all = [], rows = [0, 1, 2].map((k) => row(cam.R, k));
   for (const m of sample) {
-    const [x, y, z] = [0, 1, 2].map((k) => dot(row(cam.R, k), m) + cam.t[k]);
+    const [x, y, z] = rows.map((r, k) => dot(r, m) + cam.t[k]);
     if (!(z > 0)) continue;
     all.push(z);
     if (Math.abs(x / z) * cam.fx < cam.w / 5 && Math.abs(y / z) * cam.fy < cam.h / 5) inner.push(z);
@@ -76,6 +76,10 @@ const upward = (() => { // of the mean view
 
 /* Around the focus, rad: what is before it goes right and down. */
 function orbit(yaw, pitch) {
+  within((part) => turnCamera(part * yaw, part * pitch));
+}
+
+function turnCamera(yaw, pitch) {
   const cam = state.cam, up = upward || row(cam.R, 1).map((v) => -v);
   const pivot = centreOf(cam).map((v, k) => v + state.focus * cam.R[6 + k]);
   const now = Math.acos(Math.max(-1, Math.min(1, dot(row(cam.R, 2), up))));
@@ -83,22 +87,34 @@ function orbit(yaw, pitch) {
   cam.R = turned(cam.R, up, -yaw);
   cam.R = turned(cam.R, row(cam.R, 0), now - goal);
   place(cam, pivot.map((v, k) => v - state.focus * cam.R[6 + k]));
-  moved();
 }
 
 /* The picture follows the pointer: pixels of the screen. */
 function pan(dx, dy) {
   const cam = state.cam, v = fit(cam, canvas.clientWidth, canvas.clientHeight);
-  const x = dx * state.focus / v.fx, y = dy * state.focus / v.fy;
-  place(cam, centreOf(cam).map((c, k) => c - x * cam.R[k] - y * cam.R[3 + k]));
-  moved();
+  shift([-dx * state.focus / v.fx, -dy * state.focus / v.fy, 0]);
+}
+
+/* The camera goes to the right, down, ahead: scene units. */
+function shift(way) {
+  const { R } = state.cam;
+  within((part) => place(state.cam, centreOf(state.cam).map((c, k) =>
+    c + part * (way[0] * R[k] + way[1] * R[3 + k] + way[2] * R[6 + k]))));
 }
 
 function zoom(factor) {
-  const cam = state.cam, next = Math.max(1e-9, Math.min(1e10, state.focus * factor));
-  place(cam, centreOf(cam).map((c, k) => c + (state.focus - next) * cam.R[6 + k]));
-  state.focus = next;
-  moved();
+  within((part) => {
+    const cam = state.cam;
+    const next = Math.max(1e-9, Math.min(1e10, state.focus * factor ** part));
+    place(cam, centreOf(cam).map((c, k) => c + (state.focus - next) * cam.R[6 + k]));
+    state.focus = next;
+  });
+}
+
+function drag(dx, dy, sideways) { // pixels of the screen
+  const width = byId("stage").clientWidth;
+  if (sideways) pan(dx, dy);
+  else orbit(dx * 4 / width, dy * 4 / width);
 }
 
 /* ---- pointers ---- */
@@ -106,7 +122,7 @@ function zoom(factor) {
 const pointers = new Map();
 
 function pointerMoved(e) {
-  const before = pointers.get(e.pointerId), stage = byId("stage");
+  const before = pointers.get(e.pointerId);
   if (!before) {
     if (e.pointerType === "mouse") state.probe = [e.clientX, e.clientY], showProbe();
     return;
@@ -114,10 +130,10 @@ function pointerMoved(e) {
   const now = { ...before, x: e.clientX, y: e.clientY };
   const dx = now.x - before.x, dy = now.y - before.y;
   now.way += Math.hypot(dx, dy);
+  now.track = pointers.size > 1 ? [] : trackOf(before, e);
   pointers.set(e.pointerId, now);
   if (pointers.size === 1) {
-    if (now.shift) pan(dx, dy);
-    else orbit(dx * 4 / stage.clientWidth, dy * 4 / stage.clientWidth);
+    drag(dx, dy, now.shift);
   } else if (pointers.size === 2) {
     const other = [...pointers].find(([id]) => id !== e.pointerId)[1];
     const was = Math.hypot(before.x - other.x, before.y - other.y);
@@ -132,7 +148,7 @@ function openPointers() {
   canvas.addEventListener("pointerdown", (e) => {
     canvas.setPointerCapture(e.pointerId);
     stage.focus({ preventScroll: true });
-    pointers.set(e.pointerId, { x: e.clientX, y: e.clientY, way: 0,
+    pointers.set(e.pointerId, { x: e.clientX, y: e.clientY, way: 0, track: [],
       shift: e.shiftKey || e.button > 0 });
   });
   canvas.addEventListener("pointermove", pointerMoved);
@@ -140,6 +156,7 @@ function openPointers() {
     const p = pointers.get(e.pointerId);
     pointers.delete(e.pointerId);
     if (p && p.way < 6) state.probe = [e.clientX, e.clientY];
+    if (p && !pointers.size) released(p, e);
     showProbe();
   };
   canvas.addEventListener("pointerup", end);
@@ -170,8 +187,9 @@ const keys = {
 function openKeys() {
   document.addEventListener("keydown", (e) => {
     if (e.ctrlKey || e.metaKey || e.altKey || byId("guide").open) return;
-    const own = e.target.matches("input, select, textarea, #divider") && /^Arrow/.test(e.key);
-    if (!keys[e.key] || own) return;
+    const own = e.target.matches("input, select, textarea, #divider") && /^Arrow/.test(e.key) ||
+      e.target.matches("button, a, select") && /^( |Enter)$/.test(e.key);
+    if (!keys[e.key] || own || e.repeat && /^[ cfglpuvx]$/.test(e.key)) return;
     e.preventDefault();
     keys[e.key](e.shiftKey);
   });
@@ -191,6 +209,7 @@ function showCamera() {
   byId("cameras").value = state.at;
   byId("compare").disabled = !info.views.some((v) => v.photo);
   byId("compare").setAttribute("aria-pressed", state.wipe);
+  showAway();
 }
 
 function layPhoto() {
@@ -325,12 +344,13 @@ function openControls() {
   openDivider();
   openLightTools();
   openPointers();
+  openTools();
   openKeys();
 }
 
 /* The picture is that of the last camera, at full resolution. */
 async function settled() {
-  while (sorting.busy || scheduled || stale || state.moving)
+  while (sorting.busy || scheduled || stale || state.moving || motion.step)
     await new Promise((done) => setTimeout(done, 5));
 }
 
@@ -350,7 +370,7 @@ function start() {
     openControls();
     openSorter(scene);
     setExposure(0);
-    go(0); // the worker sorts meanwhile
+    if (!openLink()) go(info.first); // the worker sorts meanwhile
   }
   fillGpu(scene);
   sorting.row = null;
@@ -371,8 +391,8 @@ canvas.addEventListener("webglcontextrestored", () => attempt(() => {
 document.addEventListener("DOMContentLoaded", () => {
   if (gpu) attempt(start);
 });
-window.viewer = { info, state, go, setCamera, setExposure, setTone, compare, hideGuesses, draw,
-  radiance, exact, settled, firstPicture: () => firstPicture };
+window.viewer = { info, state, go, setCamera, setExposure, setTone, compare, hideGuesses,
+  showUnseen, draw, radiance, exact, depthAt, settled, firstPicture: () => firstPicture };
 attempt(() => {
   openGpu();
   warmUp();

@@ -97,7 +97,9 @@ wheel() { # x y way
 }
 
 press() { # key
-    call Input.dispatchKeyEvent "{\"type\":\"keyDown\",\"key\":\"$1\",\"text\":\"$1\"}"
+    local text=
+    [ ${#1} -gt 1 ] || text=",\"text\":\"$1\"" # other keys have none
+    call Input.dispatchKeyEvent "{\"type\":\"keyDown\",\"key\":\"$1\"$text}"
     call Input.dispatchKeyEvent "{\"type\":\"keyUp\",\"key\":\"$1\"}"
 }
 

@@ -5,6 +5,7 @@
  *   walls N    N splats, many of them opaque, with the same light
  *   half 0     `thin` of degree 0, every other splat of which is a guess: scene.hdrig lacks these
  *   scale S    `walls` in another unit of length
+ *   aside 0    `walls` that the last camera looks at, through a longer lens, and no other
  *   one 0      a single splat
  *   dark 0     nothing that can be seen
  *   near 0     a splat on each camera, others just before it
@@ -95,7 +96,7 @@ static void put_kind(struct scene *s, const char *kind, double number)
     if (strcmp(kind, "thin") == 0 || strcmp(kind, "half") == 0)
         for (int i = 0; i < THIN; i++)
             put_splat(g, uniform(-5, -2.5), 0.15);
-    if (strcmp(kind, "walls") == 0 || strcmp(kind, "scale") == 0)
+    if (strcmp(kind, "walls") == 0 || strcmp(kind, "scale") == 0 || strcmp(kind, "aside") == 0)
         for (int i = 0; i < g->cap; i++)
             put_splat(g, uniform(-4, 9), g->cap > 10000 ? 0.03 : 0.12);
     if (g->n > 0)
@@ -143,14 +144,21 @@ static void put_scene(struct scene *s, double unit)
     memcpy(s->background, (float[]){0.02f, 0.03f, 0.05f}, sizeof s->background);
 }
 
+static void look_aside(struct camera *c, bool sees)
+{
+    if (sees)
+        c->fx = c->fy = 200;
+    else
+        memcpy(c->q, (float[]){0, 0, 1, 0}, sizeof c->q);
+}
+
 /* What is no guess. */
 static void keep_proven(struct scene *s)
 {
     int n = 0;
     for (int i = 0; i < s->g.n && s->confidence; i++)
         if (s->confidence[i] >= CONFIDENCE_GUESS) {
-            for (int p = 0; p < gaussians_planes(s->g.degree); p++)
-                s->g.plane[p][n] = s->g.plane[p][i];
+            gaussians_move(&s->g, i, n);
             s->confidence[n++] = s->confidence[i];
         }
     s->g.n = s->confidence ? n : s->g.n;
@@ -204,6 +212,8 @@ int main(int argc, char **argv)
             confidence[i] = i % 2 ? 0.1f : 0.9f;
         s.confidence = strcmp(kind, "half") == 0 ? confidence : NULL;
         put_scene(&s, strcmp(kind, "scale") == 0 ? number : 1);
+        for (int i = 0; i < VIEWS && strcmp(kind, "aside") == 0; i++)
+            look_aside(&cams[i], i == VIEWS - 1);
         e = write_files(argv[1], &s, photos);
     }
     if (e)

@@ -8,6 +8,7 @@ console.error = console.warn = (...what) => errors.push(what.join(' '));
 async function display(view, ev) {
   const c = document.getElementById('view');
   c.style.width = c.style.height = viewer.info.size + 'px';
+  viewer.showUnseen(true);
   viewer.go(view);
   viewer.setExposure(ev);
   await viewer.settled();

@@ -174,7 +174,10 @@ browser_close
 # ---- what hands do ----
 
 open_browser 800 600
+call Emulation.setEmulatedMedia \
+    '{"features":[{"name":"prefers-reduced-motion","value":"reduce"}]}' # nothing moves by itself
 open_page "$FILE/walls/view.html"
+value "viewer.go(0)" >/dev/null
 
 is "document.querySelector('h1').textContent.replace(/\\\\x22/g, '*')" \
     '</title><b>scene</b> & *view*'

@@ -490,6 +490,42 @@ static void what_stands_around_it(void **state)
     assert_true(page_bytes <= viewer_bytes(&input));
 }
 
+/* One view looks at all splats, one at a corner of them, one has more of them in a small place, one
+ * sees what nobody proves. */
+static void the_page_begins_where_most_is_proven(void **state)
+{
+    (void)state;
+    float confidence[SPLATS];
+    struct gaussians *g = &scene.g;
+    for (int i = 0; i < SPLATS; i++) {
+        g->plane[G_LOGIT][i] = 3;
+        g->plane[G_MU][i] = (float)(i < 200 ? 0.1 * (i % 15) - 0.7 : 0);
+        g->plane[G_MU + 1][i] = (float)(i < 200 ? 0.1 * (i / 15) - 0.7 : 0);
+        g->plane[G_MU + 2][i] = i < 200 ? 4 : -4; // before the cameras, behind them
+        confidence[i] = 0.9f;
+    }
+    input.photos = NULL;
+    for (int i = 0; i < VIEWS; i++)
+        cams[i] = (struct camera){SIZE, SIZE, 60, 60, 12, 12, {i == 0, 0, i != 0, 0}, {0, 0, 0}};
+    make_page();
+    assert_int_equal((int)number("first"), 0); // 200 far apart before 100 in one cell
+    cams[0].t[0] = 1;                          // a third of them
+    cams[1] = cams[0];
+    cams[1].t[0] = 0;
+    make_page();
+    assert_int_equal((int)number("first"), 1);
+    scene.confidence = confidence;
+    for (int i = 0; i < SPLATS; i++)
+        if (g->plane[G_MU][i] < 0.2f)
+            confidence[i] = 0.1f;
+    cams[0].t[0] = -0.5f;
+    make_page();
+    assert_int_equal((int)number("first"), 0); // its half is proven, and is all before it
+    scene.n_views = 0;
+    make_page();
+    assert_int_equal((int)number("first"), 0);
+}
+
 /* Nothing that a user names may end a part of the page. */
 static void hostile_texts(void **state)
 {
@@ -610,6 +646,7 @@ int main(void)
         TEST(few_packed_splats),
         TEST(important_splats_come_first),
         TEST(what_stands_around_it),
+        TEST(the_page_begins_where_most_is_proven),
         TEST(hostile_texts),
         TEST(what_is_never_drawn_is_left_out),
         TEST(the_unit_suits_the_brightest),
