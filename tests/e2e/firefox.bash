@@ -4,6 +4,7 @@
 # declare with let and const.
 browser_open() { # width height
     local port
+    browser= screen=
     mkdir "$OUT/firefox"
     printf 'user_pref("%s", %s);\n' marionette.port 0 webgl.force-enabled true \
         browser.shell.checkDefaultBrowser false datareporting.policy.dataSubmissionEnabled false \
@@ -29,6 +30,7 @@ wait_for_file() {
         sleep 0.1
     done
     fail "there is no $1"
+    browser_close
     exit 1
 }
 

@@ -16,7 +16,10 @@ const near = (a, b, most) => Math.abs(a - b) <= most;
 async function small() {
   const { style } = document.getElementById('view');
   style.width = style.height = viewer.info.size + 'px';
-  while (gpu.pw !== viewer.info.size) await new Promise((done) => setTimeout(done, 10));
+  while (gpu.pw !== viewer.info.size) {
+    invalidate(false);
+    await new Promise((done) => setTimeout(done, 50));
+  }
   await viewer.settled();
 }
 /* Luminance of a rectangle of the picture, in order. */

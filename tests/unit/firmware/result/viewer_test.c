@@ -478,6 +478,7 @@ static void what_stands_around_it(void **state)
     free(jpeg);
     /* the promise of the issue, and that of viewer_bytes */
     assert_true(page_bytes - info_chars - blob_chars < FRAME_MAX);
+    assert_null(strstr(page, "\n  ")); // no indentation
     assert_true(page_bytes <= viewer_bytes(&input));
     const float more[] = {1, 2, -3.5f};
     input.photos = NULL;
