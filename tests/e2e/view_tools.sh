@@ -73,7 +73,7 @@ evaluate "viewer.settled()"
 evaluate "window.c = document.getElementById('view'),
     window.f = fit(viewer.state.cam, c.width, c.height)"
 is "c.width > c.height + 200 && f.left > 100" true
-evaluate "Promise.resolve(numbers()).then((v) => { window.light = v; })"
+evaluate "window.shone = numbers()"
 for tone in 0 1 2; do
     for ev in -8 0 8; do
         evaluate "viewer.setTone($tone), viewer.setExposure($ev)"
@@ -86,7 +86,7 @@ evaluate "viewer.setTone(0), viewer.setExposure(0)"
 press u
 is "document.getElementById('unseen').ariaPressed" true
 is "colours(0, 0, 40, 40).includes('20,21,23')" false
-is "Promise.resolve(numbers()).then((v) => v === light)" true
+is "numbers() === shone" true
 click_on unseen
 is "colours(0, 0, 40, 40)" "$HATCH"
 open_page "$FILE/aside/view.html" # all but the last camera look past the splats
@@ -169,6 +169,21 @@ evaluate "viewer.settled()"
 is "viewer.draw() || numbers() === some" true
 quiet "guesses"
 
+# without cameras there is nothing to keep near to
+mkdir "$OUT/bare"
+succeed convert-scene "$OUT/walls" --out "$OUT/bare/walls.ply"
+rm "$OUT/bare/walls.json"
+succeed convert-scene "$OUT/bare/walls.ply" --out "$OUT/bare/view.html"
+open_page "$FILE/bare/view.html"
+is "viewer.info.views.length" 0
+evaluate "zoom(50), orbit(2, 0), shift([0, 0, -5])"
+is "[viewer.state.outside, viewer.state.guesses, document.getElementById('hint').textContent,
+    document.getElementById('play').hidden].join()" 1,1,,true
+evaluate "window.hash = linkOf(), window.before = where(), viewer.go(0)"
+evaluate "location.hash = hash"
+wait_for "before.split(',').every((v, k) => Math.abs(v - where().split(',')[k]) < 1e-3)" true
+quiet "without cameras"
+
 # ---- what moves ----
 
 open_page "$FILE/walls/view.html"
@@ -199,17 +214,25 @@ throw() {
     done
     mouse mouseReleased 460 200 0 ",\"clickCount\":1,\"timestamp\":$now.09"
 }
-throw
-evaluate "window.before = centreOf(viewer.state.cam)"
-evaluate "viewer.settled()"
-is "dot(centreOf(viewer.state.cam).map((v, k) => v - before[k]), row(axes, 0)) < -0.01" true
 call Emulation.setEmulatedMedia \
     '{"features":[{"name":"prefers-reduced-motion","value":"reduce"}]}'
 throw
-evaluate "window.before = where()"
+evaluate "window.before = where(), window.still = centreOf(viewer.state.cam)"
 evaluate "viewer.settled()"
 is "where() === before" true
 call Emulation.setEmulatedMedia '{"features":[]}'
+throw
+evaluate "viewer.settled()"
+is "dot(centreOf(viewer.state.cam).map((v, k) => v - still[k]), row(axes, 0)) < -0.01" true
+
+click_twice() { # x y
+    local k now
+    now=$(date +%s)
+    for k in 1 3; do
+        mouse mousePressed "$1" "$2" 1 ",\"clickCount\":1,\"timestamp\":$now.${k}0"
+        mouse mouseReleased "$1" "$2" 0 ",\"clickCount\":1,\"timestamp\":$now.${k}5"
+    done
+}
 
 # a double click turns to what is there
 open_page "$FILE/one/view.html"
@@ -221,12 +244,7 @@ evaluate "window.c = document.getElementById('view').getBoundingClientRect(),
     window.p = [f.left + f.s * mid[0] + c.x, f.top + f.s * mid[1] + c.y].map(Math.round)"
 is "near(viewer.depthAt(p[0] - c.x, p[1] - c.y), z, 1e-4 * z)" true
 is "viewer.depthAt(3, 3)" 0
-read -r x y <<<"$(value "p.join(' ')")"
-for _ in 1 2; do
-    mouse mousePressed "$x" "$y" 1 ',"clickCount":1'
-    mouse mouseReleased "$x" "$y" 0 ',"clickCount":1'
-done
-is "motion.step !== null" true
+click_twice $(value "p.join(' ')")
 evaluate "viewer.settled()"
 is "near(at(sample[0])[0], viewer.state.cam.cx, 0.5) &&
     near(at(sample[0])[1], viewer.state.cam.cy, 0.5)" true
@@ -237,10 +255,7 @@ press Enter
 evaluate "viewer.settled()"
 is "near(viewer.state.focus,
     Math.hypot(...sample[0].map((v, k) => v - centreOf(viewer.state.cam)[k])), 0.02)" true
-mouse mousePressed 20 300 1 ',"clickCount":1'
-mouse mouseReleased 20 300 0 ',"clickCount":1'
-mouse mousePressed 20 300 1 ',"clickCount":1'
-mouse mouseReleased 20 300 0 ',"clickCount":1'
+click_twice 20 300
 is "document.getElementById('hint').textContent" "nothing is there"
 quiet "focus"
 
