@@ -216,6 +216,8 @@ static void pass_tone(struct passage *p, struct tonemap *t)
 static void pass_cameras(struct passage *p, struct camera *cams)
 {
     for (int i = 0; i < p->f->v->n; i++) {
+        cams[i].w = p->f->s->cams[i].w;
+        cams[i].h = p->f->s->cams[i].h;
         pass_float(p, &cams[i].fx);
         pass_float(p, &cams[i].fy);
         pass_float(p, &cams[i].cx);

@@ -1,6 +1,6 @@
 /* pagepack.h - the splats of view.html in 13 bytes each, and 8 to 9 for harmonics of degree 3:
  * coarser steps, neighbours in space one after the other, bytes of like meaning together,
- * and gzip around all of it. firmware/web/splats.js makes of them what pagesplats.h describes.
+ * and gzip around all of it. firmware/web/unpack.js makes of them what pagesplats.h describes.
  *
  * One gzip stream: fields, each of n numbers; a number is a whole one, and a field has the lowest
  * byte of all its numbers first, then the next one of all. Z: stored as 2 v, or -2 v - 1 if v < 0.

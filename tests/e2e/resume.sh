@@ -6,7 +6,7 @@ make_set set 88 4 1
 mkdir "$OUT/results"
 result=$OUT/results/scene
 checkpoint=$OUT/results/.scene.checkpoint
-job=(reconstruct --images "$OUT/set" --size 88 --refine 700 --set job.checkpoint_s=1)
+job=(reconstruct --images "$OUT/set" --size 88 --refine 1200 --set job.checkpoint_s=1)
 
 figures() { # folder: the report without times and memory
     sed '/"seconds": {/,/}/d; /peak/d' "$1/report.json"

@@ -145,6 +145,20 @@ static void test_same_bytes(void **state)
     assert_same(stops, sizeof stops / sizeof *stops);
 }
 
+/* The best scene is one before the interruption. */
+static void test_best_before(void **state)
+{
+    (void)state;
+    static const int stops[] = {300, 499};
+    config.steps = 500;
+    config.seed = 1;
+    run_whole();
+    assert_in_range(whole.rep.step_kept, 1, 299);
+    assert_same(stops, sizeof stops / sizeof *stops);
+    config.steps = STEPS;
+    config.seed = 5;
+}
+
 static void test_same_parts(void **state)
 {
     (void)state;
@@ -233,7 +247,8 @@ static void test_damage(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_same_bytes), cmocka_unit_test(test_same_parts),
-        cmocka_unit_test(test_other_jobs), cmocka_unit_test(test_damage)};
+        cmocka_unit_test(test_same_bytes), cmocka_unit_test(test_best_before),
+        cmocka_unit_test(test_same_parts), cmocka_unit_test(test_other_jobs),
+        cmocka_unit_test(test_damage)};
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
