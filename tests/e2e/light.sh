@@ -5,6 +5,11 @@
 . tests/e2e/browser.bash
 . tests/e2e/view.bash
 . tests/e2e/axe.bash
+
+begin_page() { # address: at the first camera, with what is outside the photographs
+    open_page "$1"
+    value "viewer.showUnseen(true), viewer.go(0), viewer.settled()" >/dev/null
+}
 "$BIN/make_view" "$OUT/walls" walls 3000 || exit 1
 "$BIN/make_view" "$OUT/thin" thin 1 || exit 1
 FILE=file://$(realpath "$OUT")
@@ -91,7 +96,7 @@ async function differences(view) {
 END
 HELP+=$MORE
 open_browser 800 600
-open_page "$FILE/walls/view.html"
+begin_page "$FILE/walls/view.html"
 
 # ---- the panel ----
 
@@ -196,7 +201,7 @@ quiet "colours"
 
 # ---- EXR ----
 
-open_page "$FILE/thin/view.html"
+begin_page "$FILE/thin/view.html"
 mkdir "$OUT/saved"
 call Browser.setDownloadBehavior \
     "{\"behavior\":\"allow\",\"downloadPath\":\"$(realpath "$OUT")/saved\"}"
@@ -213,7 +218,7 @@ quiet "EXR"
 
 # ---- accessibility ----
 
-open_page "$FILE/walls/view.html"
+begin_page "$FILE/walls/view.html"
 accessible "view"
 value "viewer.setTone(2), viewer.compare(true), document.getElementById('light').click()" >/dev/null
 press n
@@ -229,7 +234,7 @@ quiet "accessibility"
 
 call Emulation.setTouchEmulationEnabled '{"enabled":true,"maxTouchPoints":5}'
 resize 360 640 2 true
-open_page "$FILE/walls/view.html"
+begin_page "$FILE/walls/view.html"
 fits="[...document.querySelectorAll('button, select, input, textarea, a')].filter((e) =>
     e.checkVisibility()).filter((e) => { const b = e.getBoundingClientRect();
     return b.width < 24 || b.height < 24 || b.left < 0 || b.right > 360 || b.top < 0 ||
