@@ -55,16 +55,22 @@ static struct {
 
 /* ---- the thread that calls MPI ---- */
 
-static void fail_mpi(const char *what, int code)
+static void fail_team(const char *text)
 {
-    char reason[MPI_MAX_ERROR_STRING] = "";
-    int n;
-    MPI_Error_string(code, reason, &n);
     pthread_mutex_lock(&team.lock);
-    snprintf(team.text, sizeof team.text, "MPI: %s: %.160s", what, reason);
+    snprintf(team.text, sizeof team.text, "%s", text);
     team.phase = FAILED;
     pthread_cond_broadcast(&team.done);
     pthread_mutex_unlock(&team.lock);
+}
+
+static void fail_mpi(const char *what, int code)
+{
+    char reason[MPI_MAX_ERROR_STRING] = "", text[sizeof team.text];
+    int n;
+    MPI_Error_string(code, reason, &n);
+    snprintf(text, sizeof text, "MPI: %s: %.160s", what, reason);
+    fail_team(text);
 }
 
 static int64_t now_ns(void)
@@ -121,11 +127,9 @@ static int beat_with(int rank, char says, int64_t now)
 
 static void fail_silent(int rank)
 {
-    pthread_mutex_lock(&team.lock);
-    snprintf(team.text, sizeof team.text, "rank %d has said nothing for %d s", rank, SILENT_S);
-    team.phase = FAILED;
-    pthread_cond_broadcast(&team.done);
-    pthread_mutex_unlock(&team.lock);
+    char text[sizeof team.text];
+    snprintf(text, sizeof text, "rank %d has said nothing for %d s", rank, SILENT_S);
+    fail_team(text);
 }
 
 /* False if a rank is gone. */

@@ -15,6 +15,7 @@ struct session_view {
     uint32_t histogram[SESSION_BINS]; // counts of display values
     float clipped, dark;              // shares
 };
+
 /* The same frame, small: display values with their mean made grey. */
 struct idle_view_picture {
     int w, h;                                        // at most IDLE_VIEW_EDGE; 0: none yet
