@@ -272,11 +272,11 @@ static err_t v4l2_request(void *st, const struct exposure *requested, struct exp
           requested->gain > 0.0))
         return err_fail(ERR_ARG, "%s: an exposure of %g s with gain %g", s->video.path,
                         requested->time_s, requested->gain);
-    if (s->queue.lost)
-        return err_fail(ERR_LOST, "%s: lost; open it again", s->video.path);
+    if (v4l2_queue_check(&s->queue) != OK)
+        return ERR_LOST;
     err_t e = v4l2_shutter_request(&s->shutter, requested, set);
     if (e == ERR_LOST)
-        s->queue.lost = true;
+        s->queue.lost = V4L2_UNPLUGGED;
     return e;
 }
 
@@ -306,7 +306,7 @@ static err_t v4l2_next(void *st, struct frame *out)
     if (e)
         return e;
     if (v4l2_shutter_shifted(&s->shutter) == ERR_LOST) // else with the next frame
-        s->queue.lost = true;
+        s->queue.lost = V4L2_UNPLUGGED;
     bool is_short = item.bytes < l->least || item.bytes < 1;
     *out = (struct frame){.data = item.data,
                           .bytes = item.bytes,
@@ -326,13 +326,13 @@ static err_t v4l2_next(void *st, struct frame *out)
 static err_t v4l2_shift(void *st, double seconds, double *shift)
 {
     struct state *s = st;
-    if (s->queue.lost)
-        return err_fail(ERR_LOST, "%s: lost; open it again", s->video.path);
+    if (v4l2_queue_check(&s->queue) != OK)
+        return ERR_LOST;
     if (s->opt.sync)
         return err_fail(ERR_UNSUPPORTED, "%s: its frames are locked to a line", s->video.path);
     err_t e = v4l2_shutter_shift(&s->shutter, seconds, shift);
     if (e == ERR_LOST)
-        s->queue.lost = true;
+        s->queue.lost = V4L2_UNPLUGGED;
     return e;
 }
 
@@ -347,11 +347,11 @@ static void v4l2_release(void *st, struct frame *f)
 static err_t v4l2_focus(void *st, bool again)
 {
     struct state *s = st;
-    if (s->queue.lost)
-        return err_fail(ERR_LOST, "%s: lost; open it again", s->video.path);
+    if (v4l2_queue_check(&s->queue) != OK)
+        return ERR_LOST;
     err_t e = v4l2_lens_focus(&s->lens, again);
     if (e == ERR_LOST)
-        s->queue.lost = true;
+        s->queue.lost = V4L2_UNPLUGGED;
     return e;
 }
 

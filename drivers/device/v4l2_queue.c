@@ -151,8 +151,13 @@ err_t v4l2_queue_start(struct v4l2_queue *q)
 
 err_t v4l2_queue_lose(struct v4l2_queue *q, const char *why)
 {
-    q->lost = true;
-    return err_fail(ERR_LOST, "%s: %s", q->node.path, why);
+    q->lost = why;
+    return v4l2_queue_check(q);
+}
+
+err_t v4l2_queue_check(const struct v4l2_queue *q)
+{
+    return q->lost ? err_fail(ERR_LOST, "%s: %s", q->node.path, q->lost) : OK;
 }
 
 static err_t restart_stream(struct v4l2_queue *q)
@@ -211,11 +216,11 @@ static void describe_item(const struct v4l2_queue *q, const struct message *m,
 err_t v4l2_queue_take(struct v4l2_queue *q, struct v4l2_queue_item *out)
 {
     struct message m;
-    if (q->lost)
-        return err_fail(ERR_LOST, "%s: lost; open it again", q->node.path);
+    if (v4l2_queue_check(q) != OK)
+        return ERR_LOST;
     int again = queue_ours(q), number = buffer_ioctl(q, VIDIOC_DQBUF, &m, 0);
     if (is_gone(number))
-        return v4l2_queue_lose(q, "unplugged");
+        return v4l2_queue_lose(q, V4L2_UNPLUGGED);
     if (number == EAGAIN && again)
         return count_failure(q, "does not take its buffers back");
     if (number == EAGAIN || number == EINTR)

@@ -9,13 +9,15 @@
 #include <stdbool.h>
 
 enum { V4L2_QUEUE_MIN = 3 }; // buffers without which no camera streams
+#define V4L2_UNPLUGGED "unplugged"
 
 enum v4l2_queue_owner { V4L2_QUEUE_OURS, V4L2_QUEUE_DRIVER, V4L2_QUEUE_CALLER };
 
 struct v4l2_queue {
     struct v4l2_node node; // not owned
     bool mplane;
-    bool requested, streaming, lost, restarted;
+    bool requested, streaming, restarted;
+    const char *lost; // why; NULL: it is there
     int n;       // buffers
     int trouble; // failures since the last frame
     struct {
@@ -52,7 +54,10 @@ MUST_USE err_t v4l2_queue_take(struct v4l2_queue *q, struct v4l2_queue_item *out
 /* Give a buffer of the caller back; others are left alone. */
 void v4l2_queue_give(struct v4l2_queue *q, int index);
 
-/* Mark the device as gone or changed: no more buffers are taken. */
+/* Mark the device as gone or changed: no more buffers are taken. `why` is kept, not copied. */
 MUST_USE err_t v4l2_queue_lose(struct v4l2_queue *q, const char *why);
+
+/* err:  ERR_LOST with the reason, once it is marked */
+MUST_USE err_t v4l2_queue_check(const struct v4l2_queue *q);
 
 #endif

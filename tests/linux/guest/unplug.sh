@@ -39,7 +39,8 @@ figures() {
 
 for ((i = 1; i <= warm + cycles; i++)); do
     kill -USR1 $cam
-    nap 3.$((i * 7 % 10))
+    printf -v pause 3.%02d $((i * 37 % 100)) # every moment of a press, whatever the machine takes
+    nap $pause
     [ $((i % 20)) != 0 ] || figures $i
     [ $i != $warm ] || before=("${now[@]}")
 done
