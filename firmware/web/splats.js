@@ -30,6 +30,7 @@ function tell(sentence) { // "": nothing to tell
 /* There will be no picture, and nothing to control. */
 function fail(sentence) {
   tell(sentence);
+  document.body.className = "";
   document.querySelector("footer").hidden = true;
 }
 
@@ -688,8 +689,11 @@ function frame(now) {
     firstPicture = performance.now();
     requestSort(); // of all splats
     state.coarse = 1;
-    invalidate(false);
     showFacts();
+    requestAnimationFrame(() => { // the picture is seen, then the controls, then all of it
+      document.body.className = "";
+      invalidate(false);
+    });
   }
 }
 

@@ -68,7 +68,7 @@ open_browser() { # width height
 
 open_page() { # address
     call Page.navigate "{\"url\":\"$1\"}"
-    wait_for "window.viewer && viewer.firstPicture() > 0" true
+    wait_for "window.viewer && viewer.firstPicture() > 0 && !document.body.className" true
 }
 
 told() { # regex: the sentence in the page

@@ -149,6 +149,13 @@ revive() { # board after a while
     board "$1"
 }
 
+# A board that was killed while it photographed has no part of that take: the user decides.
+give_up() {
+    local id
+    id=$(tail -n 1 "$LOG" | sed -n 's/.*hdrig rig forget \([0-9a-f-]*\).*/\1/p')
+    [ -z "$id" ] || ask hub rig forget "$id" >/dev/null || fail "take $id is not given up"
+}
+
 kills=0 cuts=0 brokers=0 leaders=0 full=0
 for take in $(seq "$FAULTS"); do
     board=b$((RANDOM % MEMBERS))
@@ -186,6 +193,7 @@ for take in $(seq "$FAULTS"); do
         ;;
     esac
     wait $asking
+    give_up
     wait_ready 60 || fail "after take $take the rig is not ready: $(sentence)"
 done
 settle
