@@ -16,7 +16,7 @@
 enum { INPUTS_MAX = 32, BOARD_SIDE = BOARD_STRIDE * BOARD_PITCH_CELLS + BOARD_GAP_CELLS };
 
 struct request {
-    const char *out, *views, *kind, *spread, *orbit, *fov, *exposures, *curve, *samples;
+    const char *out, *views, *kind, *spread, *orbit, *fov, *exposures, *curve, *samples, *moving;
     const char *rig_path;
     const char *board, *tag, *distance, *before;
     struct target target;
@@ -226,13 +226,17 @@ static err_t read_scene(struct request *rq, struct dataset_request *a)
 static err_t read_request(struct request *rq, struct dataset_request *a)
 {
     int family = CURVE_FILMIC;
+    double moving = 0;
     err_t e = read_scene(rq, a);
     if (!e)
         e = read_exposures(rq->exposures ? rq->exposures : "0.015625,0.0625,0.25,1,4", a);
     if (!e && rq->curve)
         e = parse_choice("--curve", rq->curve, CURVE_WORDS, &family);
+    if (!e)
+        e = read_number("--moving", rq->moving, PASSER_SHARE_MIN, PASSER_SHARE_MAX, &moving);
     if (e)
         return e;
+    a->passer = (struct passer){a->sample.seed, (float)moving};
     a->noise = !rq->noise_free;
     a->input_truth = rq->depth;
     curve_make((enum curve_family)family, NAN, a->sample.seed, &a->curve);
@@ -285,6 +289,8 @@ static err_t write_report(const struct request *rq, const struct dataset_request
     }
     report_bool(&rep, "free_hand", a->sample.jitter != 0);
     report_int(&rep, "samples", a->sample.quality.samples);
+    if (rq->moving)
+        report_number(&rep, "moving", (double)a->passer.share);
     report_bool(&rep, "noise", a->noise);
     report_text(&rep, "curve", rq->curve ? rq->curve : "filmic");
     return outdir_report_close(o, &rep);
@@ -319,10 +325,25 @@ static err_t write_dataset(const struct request *rq, const struct dataset_reques
     return e;
 }
 
-int cmd_simulate_run(int argc, char **argv)
+static int simulate(const struct cmd_usage *usage, struct request *rq, int argc, char **argv)
 {
     static struct state st;
     static struct dataset_request request;
+    int code;
+    if (!cmd_parse(usage, argc, argv, &rq->cfg, &code))
+        return code;
+    if (!rq->out)
+        return cmd_misuse(usage, "--out is needed");
+    if (read_request(rq, &request) != OK)
+        return cmd_misuse(usage, err_text());
+    code = cmd_finish(usage->name, write_dataset(rq, &request, &st));
+    outdir_close(&st.out);
+    engine_close(&st.engine);
+    return code;
+}
+
+int cmd_simulate_run(int argc, char **argv)
+{
     static struct request rq;
     const struct cmd_option options[] = {
         {"out", "DIR", "folder of the data set; a former one is replaced", NULL, &rq.out, NULL},
@@ -360,6 +381,10 @@ int cmd_simulate_run(int argc, char **argv)
          &rq.exposures, NULL},
         {"curve", "C", "linear, srgb, gamma, filmic, agx, log or random (filmic)", NULL, &rq.curve,
          NULL},
+        {"moving", "SHARE",
+         "somebody passes by in a third of the inputs' photographs and covers that share of them, "
+         "0.002..0.3; truth/masks says where",
+         NULL, &rq.moving, NULL},
         {"noise-free", NULL, "no noise", NULL, NULL, &rq.noise_free},
         {"samples", "N", "rays per pixel and axis, 1..8 (6)", NULL, &rq.samples, NULL},
         CMD_SIZE,
@@ -370,15 +395,5 @@ int cmd_simulate_run(int argc, char **argv)
         "simulate", "--out DIR ",
         "A procedural world, photographed by a simulated rig, in the released data layout.",
         options, sizeof options / sizeof options[0]};
-    int code;
-    if (!cmd_parse(&usage, argc, argv, &rq.cfg, &code))
-        return code;
-    if (!rq.out)
-        return cmd_misuse(&usage, "--out is needed");
-    if (read_request(&rq, &request) != OK)
-        return cmd_misuse(&usage, err_text());
-    code = cmd_finish(usage.name, write_dataset(&rq, &request, &st));
-    outdir_close(&st.out);
-    engine_close(&st.engine);
-    return code;
+    return simulate(&usage, &rq, argc, argv);
 }

@@ -1,7 +1,9 @@
 /* All cameras are photographed first, because the exposure meter looks at all of them; then view by
- * view: pictures at their exposures, radiance and depth. */
+ * view: pictures at their exposures, radiance and depth. Whoever passes by is painted over the
+ * radiance of one photograph, so that everything else stays as it is without. */
 #include "sim/train/dataset.h"
 
+#include "core/base/splitmix.h"
 #include "drivers/format/exrfile.h"
 #include "drivers/format/file.h"
 #include "drivers/format/img.h"
@@ -10,6 +12,8 @@
 #include <math.h>
 #include <string.h>
 #include <sys/stat.h>
+
+enum { SHOTS = 3 }; // most photographs of an input
 
 /* Pixels of all views; of the largest. */
 static size_t all_pixels(const struct dataset_request *a, size_t *largest)
@@ -25,7 +29,8 @@ uint64_t dataset_bytes(const struct dataset_request *a)
     size_t largest;
     /* as if nothing could be compressed */
     return (uint64_t)all_pixels(a, &largest) *
-               (3 * (uint64_t)a->n_exposures + (a->input_truth ? 12 : 8)) +
+               (3 * (uint64_t)a->n_exposures + (a->input_truth ? 12 : 8) +
+                (a->passer.share > 0 ? 3 * SHOTS : 0)) +
            (1 << 20);
 }
 
@@ -34,11 +39,10 @@ struct set {
     const struct dataset_request *a;
     const char *dir;
     struct extent extent[SAMPLE_VIEWS];
-    float *radiance, *depth; // as sample_make writes them
-    float *dimmed;           // (3, h, w) radiance of one view behind its optics
-    uint8_t *px;             // (DATASET_EXPOSURES, h, w, 3) of one view
-    struct camera *cams;
-    double key;
+    struct sample_place place; // its radiance and depth are those of all views
+    float *seen;               // (3, h, w) radiance of one view behind its optics
+    uint8_t *px;               // (DATASET_EXPOSURES, h, w, 3) of one view
+    uint8_t *mask;             // (4, h, w): of one photograph, and as R,G,B
 };
 
 /* Inputs have the first, the middle and the last exposure. */
@@ -46,6 +50,25 @@ static bool is_taken(const struct dataset_request *a, int view, int k)
 {
     return !sample_is_input(&a->sample, view) || k == 0 || k == a->n_exposures / 2 ||
            k == a->n_exposures - 1;
+}
+
+/* Whether somebody passes by in a photograph: in a third of them, drawn by the seed. */
+static bool is_passed(const struct dataset_request *a, int view, int k)
+{
+    const uint64_t seed = splitmix_mix(a->passer.seed + 1);
+    const uint64_t own = splitmix_mix(seed + (uint64_t)(view * DATASET_EXPOSURES + k));
+    int n = 0, before = 0;
+    if (!(a->passer.share > 0) || !sample_is_input(&a->sample, view))
+        return false;
+    for (int i = 0; i < a->sample.n_views * DATASET_EXPOSURES; i++) {
+        const int other = i / DATASET_EXPOSURES, shot = i % DATASET_EXPOSURES;
+        if (shot >= a->n_exposures || !sample_is_input(&a->sample, other) ||
+            !is_taken(a, other, shot))
+            continue;
+        n++;
+        before += splitmix_mix(seed + (uint64_t)i) < own;
+    }
+    return before < (n + 2) / 3;
 }
 
 static void picture_name(const struct sample_scene *a, int view, int k, char out[NAME_CAP])
@@ -79,8 +102,8 @@ static err_t write_pictures(const struct set *s, int view)
 static err_t write_radiance(const struct set *s, int view)
 {
     const struct extent *x = &s->extent[view];
-    struct image im = {x->w, x->h, 3, s->radiance + 3 * x->at};
-    struct exrfile_extra extra = {.depth = s->depth + x->at, .cam = &s->cams[view]};
+    struct image im = {x->w, x->h, 3, s->place.radiance + 3 * x->at};
+    struct exrfile_extra extra = {.depth = s->place.depth + x->at, .cam = &s->place.cams[view]};
     char name[NAME_CAP], path[FILE_PATH_CAP];
     snprintf(name, sizeof name, "images_hdr/%s_hdr_%03d.exr",
              sample_is_input(&s->a->sample, view) ? "train" : "test",
@@ -89,24 +112,70 @@ static err_t write_radiance(const struct set *s, int view)
     return e ? e : exrfile_write(path, &im, &extra, NULL);
 }
 
+/* The radiance that the sensor of a view gets. */
+static const float *seen_radiance(const struct set *s, int view)
+{
+    const struct optics *o = sample_optics(&s->a->sample, view);
+    const struct extent *x = &s->extent[view];
+    const float *radiance = s->place.radiance + 3 * x->at;
+    if (!o || !optics_dims(o))
+        return radiance;
+    memcpy(s->seen, radiance, 3 * extent_pixels(x) * sizeof *s->seen);
+    optics_apply(o, s->seen);
+    return s->seen;
+}
+
+static err_t write_mask(const struct set *s, int view, int k)
+{
+    const struct extent *x = &s->extent[view];
+    const size_t n = extent_pixels(x);
+    struct image8 im = {x->w, x->h, 3, s->mask + n};
+    char name[NAME_CAP], path[FILE_PATH_CAP], folder[FILE_PATH_CAP];
+    for (size_t i = 0; i < 3 * n; i++)
+        im.px[i] = s->mask[i / 3];
+    picture_name(&s->a->sample, view, k, name);
+    err_t e = file_join(s->dir, "truth/masks", folder);
+    if (!e)
+        e = file_join(folder, name, path);
+    return e ? e : img_write_png(path, &im);
+}
+
+/* The photograph `k` of a view again, with somebody who passes by. */
+static err_t pass_by(const struct run *r, const struct set *s, const struct sample_camera *cam,
+                     int view, int k)
+{
+    const struct dataset_request *a = s->a;
+    const struct optics *o = sample_optics(&a->sample, view);
+    const struct extent *x = &s->extent[view];
+    const size_t n = 3 * extent_pixels(x);
+    struct sample_camera one = *cam;
+    struct render_quality quality = a->sample.quality;
+    const struct passer_shot shot = {&s->place.cams[view], &quality,
+                                     (uint64_t)(view * DATASET_EXPOSURES + k)};
+    quality.lens = o && lens_distorts(&o->lens) ? &o->lens : NULL;
+    one.first = (uint64_t)k;
+    memcpy(s->seen, s->place.radiance + 3 * x->at, n * sizeof *s->seen);
+    err_t e = passer_draw(r, s->place.world, &a->passer, &shot, s->seen, s->mask);
+    if (!e && o && optics_dims(o))
+        optics_apply(o, s->seen);
+    if (!e)
+        e = sample_expose(r, &one, s->seen, 1, &a->stops[k], s->px + n * (size_t)k);
+    return e ? e : write_mask(s, view, k);
+}
+
 static err_t write_view(const struct run *r, const struct set *s, int view)
 {
     const struct dataset_request *a = s->a;
-    const struct extent *x = &s->extent[view];
-    const struct optics *o = sample_optics(&a->sample, view);
-    const float *seen = s->radiance + 3 * x->at;
-    const struct sample_camera cam = {.w = x->w,
-                                      .h = x->h,
-                                      .key = s->key,
+    const struct sample_camera cam = {.w = s->extent[view].w,
+                                      .h = s->extent[view].h,
+                                      .key = s->place.key,
                                       .sensor = a->noise ? &sensor_default : NULL,
                                       .curve = &a->curve,
                                       .seed = a->sample.seed * 1000 + (uint64_t)view};
-    if (o && optics_dims(o)) {
-        memcpy(s->dimmed, seen, 3 * extent_pixels(x) * sizeof *seen);
-        optics_apply(o, s->dimmed);
-        seen = s->dimmed;
-    }
-    err_t e = sample_expose(r, &cam, seen, a->n_exposures, a->stops, s->px);
+    err_t e = sample_expose(r, &cam, seen_radiance(s, view), a->n_exposures, a->stops, s->px);
+    for (int k = 0; k < a->n_exposures && !e; k++)
+        if (is_taken(a, view, k) && is_passed(a, view, k))
+            e = pass_by(r, s, &cam, view, k);
     if (!e)
         e = write_pictures(s, view);
     return e || (sample_is_input(&a->sample, view) && !a->input_truth) ? e
@@ -152,7 +221,7 @@ static err_t write_images(const struct set *s)
     if (e)
         return e;
     for (int view = 0; view < s->a->sample.n_views; view++) {
-        const struct camera *c = &s->cams[view];
+        const struct camera *c = &s->place.cams[view];
         picture_name(&s->a->sample, view, s->a->n_exposures / 2, name);
         fprintf(f, "%d", view + 1);
         for (int i = 0; i < 4; i++)
@@ -176,7 +245,7 @@ static void put_optics(const struct optics *o, int number, FILE *f)
 
 static err_t write_cameras(const struct set *s)
 {
-    const struct camera *c = &s->cams[0];
+    const struct camera *c = &s->place.cams[0];
     char path[FILE_PATH_CAP];
     FILE *f;
     err_t e = open_text(s, "sparse/0/cameras.txt", path, &f);
@@ -195,9 +264,11 @@ static err_t write_cameras(const struct set *s)
 
 static err_t make_folders(const struct set *s)
 {
-    static const char *const names[] = {"images", "images_hdr", "sparse", "sparse/0"};
+    static const char *const names[] = {"images",   "images_hdr", "sparse",
+                                        "sparse/0", "truth",      "truth/masks"};
+    const int n = s->a->passer.share > 0 ? 6 : 4;
     char path[FILE_PATH_CAP];
-    for (int i = 0; i < 4; i++) {
+    for (int i = 0; i < n; i++) {
         err_t e = file_join(s->dir, names[i], path);
         if (e)
             return e;
@@ -226,15 +297,17 @@ static err_t alloc_set(struct arena *keep, struct set *s)
     const struct dataset_request *a = s->a;
     size_t largest;
     const size_t all = all_pixels(a, &largest);
-    err_t e = arena_alloc(keep, all * 3, sizeof(float), &s->radiance);
+    err_t e = arena_alloc(keep, all * 3, sizeof(float), &s->place.radiance);
     if (!e)
-        e = arena_alloc(keep, all, sizeof(float), &s->depth);
-    if (!e && a->sample.n_optics > 0)
-        e = arena_alloc(keep, largest, 3 * sizeof *s->dimmed, &s->dimmed);
+        e = arena_alloc(keep, all, sizeof(float), &s->place.depth);
+    if (!e && (a->sample.n_optics > 0 || a->passer.share > 0))
+        e = arena_alloc(keep, largest, 3 * sizeof *s->seen, &s->seen);
+    if (!e && a->passer.share > 0)
+        e = arena_alloc(keep, largest, 4, &s->mask);
     if (!e)
         e = arena_alloc(keep, largest, 3 * DATASET_EXPOSURES, &s->px);
     if (!e)
-        e = arena_alloc(keep, (size_t)a->sample.n_views, sizeof *s->cams, &s->cams);
+        e = arena_alloc(keep, (size_t)a->sample.n_views, sizeof *s->place.cams, &s->place.cams);
     return e;
 }
 
@@ -250,7 +323,7 @@ void dataset_plan(struct plan *p, const struct dataset_request *a)
 err_t dataset_write(const struct run *r, const struct dataset_request *a, const char *dir)
 {
     struct set s = {.a = a, .dir = dir};
-    const size_t mark = arena_mark(r->keep);
+    const size_t mark = arena_mark(r->keep), scratch = arena_mark(r->tmp);
     err_t e = check_exposures(a);
     sample_extents(&a->sample, s.extent);
     if (!e)
@@ -258,7 +331,7 @@ err_t dataset_write(const struct run *r, const struct dataset_request *a, const 
     if (!e)
         e = alloc_set(r->keep, &s);
     if (!e)
-        e = sample_make(r, &a->sample, s.radiance, s.depth, s.cams, &s.key);
+        e = sample_open(r, &a->sample, &s.place);
     for (int view = 0; view < a->sample.n_views && !e; view++) {
         e = run_check(r, "data set");
         if (!e)
@@ -272,6 +345,7 @@ err_t dataset_write(const struct run *r, const struct dataset_request *a, const 
         e = write_images(&s);
     if (!e)
         e = write_cameras(&s);
+    arena_reset(r->tmp, scratch);
     arena_reset(r->keep, mark);
     return e;
 }

@@ -5,6 +5,7 @@
 #define TRAIN_DATASET_H
 
 #include "sim/train/sample.h"
+#include "sim/world/passer.h"
 
 enum { DATASET_EXPOSURES = 8 };
 
@@ -15,6 +16,7 @@ struct dataset_request {
     bool noise;                     // as in sensor_default
     bool input_truth;               // radiance and depth of inputs, too
     struct curve curve;
+    struct passer passer; // in a third of the photographs of inputs; share 0: nobody
 };
 
 /* Photograph the world into the folder `dir`, which exists. Inputs (sample_is_input) are
@@ -23,6 +25,8 @@ struct dataset_request {
  *   images/{train,test}_ldr_VVV_E.png, images_hdr/test_hdr_VVV.exr (radiance, and Z: depth; if
  *   asked for, train_hdr_VVV.exr),
  *   exposure.json (2^stops), sparse/0 (COLMAP text, a camera for each of the optics)
+ *   with a passer-by, truth/masks/train_ldr_VVV_E.png of photographs that it is in: 0 where it is,
+ *   255 elsewhere
  * Of several cameras, the EXIF data of a picture name the one that took it. Radiance is that before
  * optics dim it.
  * err:  ERR_ARG, ERR_NOMEM (see dataset_plan), those of writing, ERR_CANCELLED. */

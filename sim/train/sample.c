@@ -199,9 +199,16 @@ static size_t view_bytes(const struct sample_scene *a)
     return most;
 }
 
+static err_t alloc_world(struct arena *room, struct world **out)
+{
+    return arena_alloc(room, 1, sizeof **out, out);
+}
+
 static size_t world_bytes(void)
 {
     struct plan p = plan_begin(1);
+    struct world *w;
+    (void)alloc_world(&p.keep, &w); // a counter is never full
     world_plan(&p);
     render_open_plan(&p);
     return p.keep.peak;
@@ -360,41 +367,62 @@ static err_t add_target(const struct sample_scene *a, const struct camera *cams,
     return target_add(w, a->target, even, n);
 }
 
-err_t sample_make(const struct run *r, const struct sample_scene *a, float *radiance, float *depth,
-                  struct camera *cams, double *key)
+/* Cameras, and what else the scene has beside its world. */
+static err_t furnish(const struct run *r, const struct sample_scene *a, struct camera *cams,
+                     struct world *w)
 {
-    struct sample s = {.r = r, .a = a, .radiance = radiance, .depth = depth, .cams = cams};
     const struct world_path path = {a->n_views,     a->spread,    a->fov_deg,
                                     a->jitter != 0, a->orbit_deg, a->walk != 0};
+    err_t e = OK;
+    world_cameras(w, &path, a->seed, a->size, cams);
+    set_optics(a, cams);
+    if (a->rig)
+        e = place_rig(r, a, cams);
+    if (!e && a->target)
+        e = add_target(a, cams, w);
+    return e;
+}
+
+err_t sample_open(const struct run *r, const struct sample_scene *a, struct sample_place *out)
+{
+    struct sample s = {.r = r, .a = a, .radiance = out->radiance, .depth = out->depth};
     struct arena room = {0};
     struct run prepare = *r;
-    struct render_world *world = NULL;
-    struct world w;
+    struct world *w;
     err_t e = check_scene(a);
     if (e)
         return e;
     sample_extents(a, s.extent);
-    size_t mark = arena_mark(r->tmp);
+    s.cams = out->cams;
     e = sub_arena(r->tmp, world_bytes(), "world", &room);
     if (!e)
-        e = world_make(&room, a->seed, (enum world_kind)a->kind, &w);
-    prepare.keep = &room;
-    if (!e) {
-        world_cameras(&w, &path, a->seed, a->size, cams);
-        set_optics(a, cams);
-        if (a->rig)
-            e = place_rig(r, a, cams);
-    }
-    if (!e && a->target)
-        e = add_target(a, cams, &w);
+        e = alloc_world(&room, &w);
     if (!e)
-        e = render_open(&prepare, &w, &world);
-    s.world = world;
+        e = world_make(&room, a->seed, (enum world_kind)a->kind, w);
+    prepare.keep = &room;
+    if (!e)
+        e = furnish(r, a, out->cams, w);
+    if (!e)
+        e = render_open(&prepare, w, &out->world);
+    s.world = out->world;
+    const size_t mark = arena_mark(r->tmp);
     if (!e)
         e = draw_all(&s);
-    if (!e)
-        *key = metered_key(&s);
     arena_reset(r->tmp, mark);
+    if (!e)
+        out->key = metered_key(&s);
+    return e;
+}
+
+err_t sample_make(const struct run *r, const struct sample_scene *a, float *radiance, float *depth,
+                  struct camera *cams, double *key)
+{
+    struct sample_place place = {.radiance = radiance, .depth = depth, .cams = cams};
+    const size_t mark = arena_mark(r->tmp);
+    err_t e = sample_open(r, a, &place);
+    arena_reset(r->tmp, mark);
+    if (!e)
+        *key = place.key;
     return e;
 }
 
@@ -454,7 +482,7 @@ err_t sample_expose(const struct run *r, const struct sample_camera *c, const fl
     for (int i = 0; i < n && !e; i++) {
         double exposure = c->key * exp2((double)stops[i]);
         struct sensor_shot shot = {
-            .exposure_s = exposure, .gain = 1, .seed = c->seed, .frame = (uint64_t)i};
+            .exposure_s = exposure, .gain = 1, .seed = c->seed, .frame = c->first + (uint64_t)i};
         uint8_t *to = px + (size_t)i * 3 * (size_t)c->w * (size_t)c->h;
         e = run_check(r, "photographs");
         if (c->sensor && exposure > EXPOSURE_MAX)
@@ -500,7 +528,7 @@ int sample_develop(const struct sample_request *q, double key, const float *radi
     struct run r = {.tmp = &tmp};
     struct curve curve;
     struct sample_camera c = {q->scene.size, q->scene.size, key, q->noise ? &sensor_default : NULL,
-                              &curve,        q->noise_seed};
+                              &curve,        q->noise_seed, 0};
     err_t e = check_shots(&c, n, stops);
     if (!e && (q->curve_family < -1 || q->curve_family >= CURVE_FAMILIES))
         e = err_fail(ERR_ARG, "photograph: curve of family %d, allowed are -1 to %d",

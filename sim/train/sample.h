@@ -55,7 +55,19 @@ void sample_extents(const struct sample_scene *a, struct extent *out);
 MUST_USE err_t sample_make(const struct run *r, const struct sample_scene *a, float *radiance,
                            float *depth, struct camera *cams, double *key);
 
-/* For sample_make; also enough for sample_expose of one such picture. */
+/* The same, and the world is kept.
+ * radiance, depth, cams: as above, the caller's, set before.
+ * out:  the rest; the world lives in r->tmp until its user resets that to where it was. */
+struct sample_place {
+    float *radiance, *depth;
+    struct camera *cams;
+    double key;
+    struct render_world *world;
+};
+MUST_USE err_t sample_open(const struct run *r, const struct sample_scene *a,
+                           struct sample_place *out);
+
+/* For both; also enough for sample_expose of one such picture. */
 void sample_plan(struct plan *p, const struct sample_scene *a);
 
 /* How a radiance image is photographed. */
@@ -65,10 +77,11 @@ struct sample_camera {
     const struct sensor *sensor; // NULL: no noise, and no clipping but that of the curve
     const struct curve *curve;   // not NULL
     uint64_t seed;               // seed of the noise
+    uint64_t first;              // the number of the first photograph, for the noise
 };
 
 /* Photographs of one radiance image (3, h, w) at the exposures 2^stops[i] times key, stops
- * in -40..40, n in 1..SAMPLE_SHOTS; i is the number of the frame, for the noise. A sensor is
+ * in -40..40, n in 1..SAMPLE_SHOTS, the i-th of number c->first + i. A sensor is
  * exposed for an hour at most.
  * out:  px (n, h, w, 3)
  * err:  ERR_ARG, ERR_NOMEM (r->tmp, see sample_plan), ERR_CANCELLED */

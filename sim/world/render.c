@@ -94,6 +94,19 @@ float render_ray(const struct render_world *s, const float o[3], const float d[3
     return t;
 }
 
+void render_light(const struct render_world *s, const float p[3], const float n[3],
+                  const struct light_dice *dice, float out[3])
+{
+    struct light_spot spot = {0};
+    struct light_sum sum;
+    memcpy(spot.p, p, sizeof spot.p);
+    memcpy(spot.n, n, sizeof spot.n);
+    light_gather(&s->lights, &spot, dice, &sum);
+    light_probe_irradiance(&s->probes, p, n, out);
+    for (int k = 0; k < 3; k++)
+        out[k] += sum.soft[k] + sum.sun[k];
+}
+
 /* ---- one ray ---- */
 
 /* A ray of the eye, or a mirrored one. */
@@ -296,7 +309,7 @@ struct picture {
     float *plane; // (PLANES, h, w), NULL without smoothing
 };
 
-static err_t check_request(const struct camera *c, const struct render_quality *q)
+err_t render_check(const struct camera *c, const struct render_quality *q)
 {
     float sum = c->fx + c->fy + c->cx + c->cy, length = 0;
     if (c->w < 1 || c->h < 1 || c->w > SIDE_MAX || c->h > SIDE_MAX)
@@ -591,7 +604,7 @@ err_t render_run(const struct run *r, const struct render_world *s, const struct
 {
     struct picture p = {.r = r, .s = s, .cam = cam, .q = q, .out = out};
     float back[3] = {-cam->t[0], -cam->t[1], -cam->t[2]};
-    err_t e = check_request(cam, q);
+    err_t e = render_check(cam, q);
     if (e)
         return e;
     size_t mark = arena_mark(r->tmp);

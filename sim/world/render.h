@@ -7,6 +7,7 @@
 
 #include "sim/world/world.h"
 
+struct light_dice;   // sim/world/light.h
 struct render_world; // a world prepared for pictures: hierarchy of boxes, probes
 
 struct render_quality {
@@ -40,7 +41,15 @@ MUST_USE err_t render_run(const struct run *r, const struct render_world *s,
                           const struct render_maps *out);
 void render_plan(struct plan *p, int w, int h);
 
+/* What render_run asks of a camera and a quality; err: ERR_ARG. */
+MUST_USE err_t render_check(const struct camera *cam, const struct render_quality *q);
+
 /* Distance along the unit direction d from o to the first surface, m; RENDER_FAR if none. */
 float render_ray(const struct render_world *s, const float o[3], const float d[3]);
+
+/* Irradiance at p, m, on a surface with the unit normal n that is not of the world.
+ * out:  of R,G,B */
+void render_light(const struct render_world *s, const float p[3], const float n[3],
+                  const struct light_dice *dice, float out[3]);
 
 #endif

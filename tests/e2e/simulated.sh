@@ -15,6 +15,7 @@ expect 2 '--kind: "moon" is none of room.yard' simulate --out "$OUT/no" --kind m
 expect 2 '--kind: "room.yard" is none of' simulate --out "$OUT/no" --kind 'room|yard'
 expect 2 '--views: 2.5 is not a whole number' simulate --out "$OUT/no" --views 2.5
 expect 2 '--views: 1 is not in 2..32' simulate --out "$OUT/no" --views 1
+expect 2 '--moving: 0.31 is not in 0.002..0.3' simulate --out "$OUT/no" --moving 0.31
 expect 2 '--orbit: only --kind park' simulate --out "$OUT/no" --kind yard --orbit 20
 expect 2 '--orbit: 181 is not in 1..180' simulate --out "$OUT/no" --kind park --orbit 181
 expect 2 '--exposures: .*like 0.125,1,8' simulate --out "$OUT/no" --exposures 1,x
@@ -35,6 +36,13 @@ grep -Eq '^draw [0-9]+ % step [1-9]' "$ERR" && grep -q '^write 100 % ' "$ERR" ||
 simulate again --seed 7 --kind room --views 7 --size 224 --threads 3
 diff -r "$OUT/room" "$OUT/again" >/dev/null || fail "a world is not the same with three threads"
 [ "$(ls "$OUT/room/images" | wc -l)" -eq $((7 * 3 + 6 * 5)) ] || fail "not every picture is there"
+
+# somebody passes by: the world and what is held out stay
+simulate passed --seed 7 --kind room --views 7 --size 224 --moving 0.1
+diff -r "$OUT/room/images_hdr" "$OUT/passed/images_hdr" >/dev/null || fail "another truth"
+differ=$(diff -qr "$OUT/room/images" "$OUT/passed/images" | sed 's/.*images.//; s/ differ//' | sort)
+[ "$differ" = "$(ls "$OUT/passed/truth/masks")" ] && [ "$(wc -l <<<"$differ")" -eq 7 ] ||
+    fail "somebody passes by in $differ"
 
 # nobody knows the cameras
 succeed eval --data "$OUT/room" --size 224 --rig none --refine 100 --json "$OUT/found.json"

@@ -1,0 +1,148 @@
+/* Data sets with somebody who passes by: nothing else changes, and masks say where. */
+#include "sim/train/dataset.h"
+
+#include "core/base/pool.h"
+#include "drivers/format/file.h"
+#include "drivers/format/img.h"
+
+#include "tests/unit/expect.h"
+#include "tests/unit/tmpdir.h"
+
+#include <math.h>
+#include <string.h>
+
+enum { INPUTS = 6, SHOTS = 3, SIZE = 64 };
+
+static err_t write_set(const char *name, float share, const struct optics *optics, int threads)
+{
+    struct dataset_request a = {.sample = {.seed = 5,
+                                           .kind = WORLD_ROOM,
+                                           .n_views = 2 * INPUTS - 1,
+                                           .size = SIZE,
+                                           .spread = 0.3f,
+                                           .fov_deg = 60,
+                                           .quality = {.samples = 2, .shadow = 1},
+                                           .n_optics = optics ? 1 : 0,
+                                           .optics = optics},
+                                .n_exposures = 4,
+                                .stops = {-4, -2, 0, 2},
+                                .noise = true,
+                                .passer = {7, share}};
+    struct arena keep, tmp;
+    struct pool *pool = NULL;
+    struct plan p = plan_begin(threads);
+    curve_make(CURVE_SRGB, NAN, 1, &a.curve);
+    dataset_plan(&p, &a);
+    assert_int_equal(arena_init(&keep, "keep", p.keep.peak), OK);
+    assert_int_equal(arena_init(&tmp, "tmp", p.tmp.peak), OK);
+    assert_int_equal(pool_open(&pool, threads), OK);
+    const struct run r = {.pool = pool, .keep = &keep, .tmp = &tmp};
+    err_t e = dataset_write(&r, &a, tmpdir_mkdir(name));
+    assert_int_equal((int)(arena_mark(&keep) + arena_mark(&tmp)), 0);
+    pool_close(pool);
+    arena_free(&keep);
+    arena_free(&tmp);
+    return e;
+}
+
+static const char *in_set(const char *set, const char *folder, const char *name)
+{
+    static char path[96];
+    snprintf(path, sizeof path, "%s/%s/%s", set, folder, name);
+    return tmpdir_path(path);
+}
+
+/* The share of the photograph that is masked; 0 without a mask. */
+static double compare_photographs(const char *with, const char *name, double *inside)
+{
+    struct image8 a, b, mask;
+    int masked = 0, changed = 0;
+    assert_int_equal(img_read(in_set("without", "images", name), &a), OK);
+    assert_int_equal(img_read(in_set(with, "images", name), &b), OK);
+    const char *path = in_set(with, "truth/masks", name);
+    if (!file_exists(path)) {
+        assert_memory_equal(a.px, b.px, 3 * SIZE * SIZE);
+        img_free(&a);
+        img_free(&b);
+        return 0;
+    }
+    assert_int_equal(img_read(path, &mask), OK);
+    for (int i = 0; i < SIZE * SIZE; i++) {
+        const bool differs = memcmp(a.px + 3 * i, b.px + 3 * i, 3) != 0;
+        assert_true(mask.px[3 * i] == 0 || (mask.px[3 * i] == 255 && !differs));
+        masked += mask.px[3 * i] == 0;
+        changed += differs;
+    }
+    *inside += (double)changed / masked;
+    img_free(&a);
+    img_free(&b);
+    img_free(&mask);
+    return (double)masked / (SIZE * SIZE);
+}
+
+static void others_stay(void **state)
+{
+    static const float shares[] = {0.02f, 0.2f};
+    static const char *const names[] = {"small", "large"};
+    (void)state;
+    assert_int_equal(write_set("without", 0, NULL, 1), OK);
+    assert_false(file_exists(tmpdir_path("without/truth")));
+    for (int s = 0; s < 2; s++) {
+        int passed = 0;
+        double inside = 0;
+        assert_int_equal(write_set(names[s], shares[s], NULL, 3), OK);
+        for (int i = 0; i < INPUTS * SHOTS; i++) {
+            char name[NAME_CAP];
+            snprintf(name, sizeof name, "train_ldr_%03d_%d.png", i / SHOTS,
+                     i % SHOTS + (i % SHOTS > 0));
+            const double share = compare_photographs(names[s], name, &inside);
+            passed += share > 0;
+            assert_true(share == 0 || fabs(share / (double)shares[s] - 1) < 0.25);
+        }
+        assert_int_equal(passed, INPUTS * SHOTS / 3);
+        assert_true(inside / passed > 0.6); // the rest is black or white with and without
+        for (int i = 0; i < INPUTS - 1; i++) {
+            char name[NAME_CAP];
+            snprintf(name, sizeof name, "test_ldr_%03d_3.png", i);
+            assert_true(compare_photographs(names[s], name, &inside) == 0);
+        }
+    }
+}
+
+/* A mask counts as many pixels behind a lens that bends lines. */
+static void behind_a_lens(void **state)
+{
+    struct optics o;
+    double inside = 0;
+    int passed = 0;
+    (void)state;
+    assert_int_equal(optics_parse("a", "k1=-0.2,v2=-0.4", SIZE, 80, &o), OK);
+    tmpdir_remove();
+    tmpdir_make();
+    assert_int_equal(write_set("without", 0, &o, 1), OK);
+    assert_int_equal(write_set("lens", 0.1f, &o, 1), OK);
+    for (int i = 0; i < INPUTS; i++) {
+        char name[NAME_CAP];
+        snprintf(name, sizeof name, "train_ldr_%03d_2.png", i);
+        const double share = compare_photographs("lens", name, &inside);
+        passed += share > 0;
+        assert_true(share == 0 || fabs(share / 0.1 - 1) < 0.25);
+    }
+    assert_true(passed > 0);
+}
+
+static void wrong_shares(void **state)
+{
+    (void)state;
+    assert_int_equal(write_set("huge", 0.31f, NULL, 1), ERR_ARG);
+    assert_non_null(strstr(err_text(), "passer-by"));
+    assert_int_equal(write_set("tiny", 0.001f, NULL, 1), ERR_ARG);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {cmocka_unit_test(others_stay),
+                                       cmocka_unit_test(behind_a_lens),
+                                       cmocka_unit_test(wrong_shares)};
+    return cmocka_run_group_tests(tests, tmpdir_setup, tmpdir_teardown);
+}
