@@ -150,16 +150,51 @@ static float *map_row(const struct job *j, int colour, int k, int row)
     return j->l->maps + ((size_t)(3 * colour + k) * ((size_t)j->h + EDGE) + (size_t)row) * s;
 }
 
+static int photo_w(const struct job *j)
+{
+    return j->in->photo_w ? j->in->photo_w : j->w;
+}
+
+static int photo_h(const struct job *j)
+{
+    return j->in->photo_h ? j->in->photo_h : j->h;
+}
+
 /* A row of the photograph as codes, 255 is 1. */
-static void code_row(const struct job *j, int colour, int y, float *out)
+static void read_codes(const struct job *j, int colour, int y, float *out)
 {
     const struct loss_input *in = j->in;
-    const int w = in->photo_w ? in->photo_w : j->w, h = in->photo_h ? in->photo_h : j->h;
+    const int w = photo_w(j), h = photo_h(j);
     const size_t at =
         ((size_t)colour * (size_t)h + (size_t)(in->y + y)) * (size_t)w + (size_t)in->x;
     for (int i = 0; i < j->w; i++)
         out[i] = in->photo16 ? (float)in->photo16[at + (size_t)i] * (1.0f / 257.0f)
                              : (float)in->photo[at + (size_t)i];
+}
+
+static size_t cell_at(const struct job *j, int y)
+{
+    const struct loss_input *in = j->in;
+    return (size_t)((in->y + y) / in->cell_px) * (size_t)in->cells_across +
+           (size_t)(in->x / in->cell_px);
+}
+
+/* The picture's own codes where the photograph is left out. */
+static void hide_codes(const struct job *j, int colour, int y, float *codes)
+{
+    const int px = j->in->cell_px;
+    const float *ldr = j->l->ldr + (size_t)colour * j->px + (size_t)y * (size_t)j->w;
+    if (!j->in->skip)
+        return;
+    const uint8_t *skip = j->in->skip + cell_at(j, y);
+    for (int i = 0; i < j->w; i++)
+        codes[i] = skip[i / px] ? 255.0f * ldr[i] : codes[i];
+}
+
+static void code_row(const struct job *j, int colour, int y, float *out)
+{
+    read_codes(j, colour, y, out);
+    hide_codes(j, colour, y, out);
 }
 
 static void ssim_rows(const struct job *j, int colour, int row0, int row1, float *scratch,
@@ -207,6 +242,24 @@ static err_t ssim_chunk(void *ctx, int chunk, int worker)
     return OK;
 }
 
+/* The mean of a cell at the photograph's border is that of fewer pixels. */
+static void measure_excess(const struct job *j, int colour, int y, const float *codes)
+{
+    const struct loss_input *in = j->in;
+    const int px = in->cell_px, top = (in->y + y) / px * px;
+    const float *ldr = j->l->ldr + (size_t)colour * j->px + (size_t)y * (size_t)j->w;
+    float *to = in->excess + ((size_t)(top / px) * 3 + (size_t)colour) * (size_t)in->cells_across +
+                in->x / px;
+    const int rows = num_min(px, photo_h(j) - top);
+    for (int from = 0; from < j->w; from += px, to++) {
+        const int end = num_min(from + px, j->w);
+        float sum = 0;
+        for (int i = from; i < end; i++)
+            sum += ldr[i] - codes[i] * (1 / 255.0f);
+        *to = ((in->y + y) > top ? *to : 0) + sum / (float)((end - from) * rows);
+    }
+}
+
 static void measure_held_out(const struct job *j, int colour, int y, const float *codes, float *d,
                              double *p)
 {
@@ -214,16 +267,26 @@ static void measure_held_out(const struct job *j, int colour, int y, const float
     int px = in->held_px, squares = (j->w + px - 1) / px;
     const uint8_t *held =
         in->held + (size_t)((in->y + y) / px) * (size_t)in->held_across + in->x / px;
+    const uint8_t *skip = in->skip ? in->skip + cell_at(j, y) : NULL;
     size_t at = (size_t)colour * j->px + (size_t)y * (size_t)j->w;
     for (int s = 0; s < squares; s++) {
         int end = (s + 1) * px < j->w ? (s + 1) * px : j->w;
         for (int i = s * px; i < end && held[s]; i++) {
+            d[i] = 0;
+            if (skip && skip[i / in->cell_px])
+                continue;
             double diff = (double)j->l->ldr[at + (size_t)i] - (double)codes[i] / 255.0;
             p[P_SSE] += diff * diff;
             p[P_HELD] += 1;
-            d[i] = 0;
         }
     }
+}
+
+static void stop_skipped(const struct job *j, int y, float *d)
+{
+    const uint8_t *skip = j->in->skip + cell_at(j, y);
+    for (int i = 0; i < j->w; i++)
+        d[i] = skip[i / j->in->cell_px] ? 0 : d[i];
 }
 
 /* d loss / d display of one row and colour: SSIM through the blurred maps, L1, held-out squares. */
@@ -232,7 +295,10 @@ static void display_grad(const struct job *j, int colour, int y, float *line, fl
     const struct loss_input *in = j->in;
     size_t s = (size_t)j->l->stride, at = (size_t)colour * j->px + (size_t)y * (size_t)j->w;
     float *mixed = line + 3 * s, *codes = line + 5 * s;
-    code_row(j, colour, y, codes);
+    read_codes(j, colour, y, codes);
+    if (in->excess)
+        measure_excess(j, colour, y, codes);
+    hide_codes(j, colour, y, codes);
     for (int k = 0; k < 3; k++) {
         const float *rows[LOSS_WINDOW];
         for (int i = 0; i < LOSS_WINDOW; i++)
@@ -248,6 +314,8 @@ static void display_grad(const struct job *j, int colour, int y, float *line, fl
                               .ssim = -in->w_ssim / (float)(3 * (j->h - EDGE) * (j->w - EDGE)),
                               .n = j->w};
     p[P_L1] += j->r->k->display_row(&row, d);
+    if (in->skip)
+        stop_skipped(j, y, d);
     if (in->held)
         measure_held_out(j, colour, y, codes, d, p);
 }

@@ -118,6 +118,8 @@ static err_t layout(struct refine *f, struct arena *a, int threads)
     if (!e)
         e = arena_alloc(a, n * q * q, 1, &f->held);
     if (!e)
+        e = outliers_layout(&f->outliers, a, f->v, OUTLIERS_PX << (f->levels > 2));
+    if (!e)
         e = arena_zalloc(a, all, 8, &f->photo_sse);
     if (!e)
         e = arena_zalloc(a, all, 8, &f->photo_n);
@@ -248,6 +250,7 @@ static err_t compare_photo(struct refine *f, int i, int k, const struct loss_inp
     li.photo16 = pyramid_deep(&f->photos, k, f->level);
     li.photo = pyramid_planes(&f->photos, k, f->level);
     li.held = f->held + (size_t)i * squares;
+    li.skip = outliers_skip(&f->outliers, k);
     struct loss_output one;
     err_t e = loss_run(f->r, &f->loss_work, &li, &one);
     if (e)
@@ -267,9 +270,10 @@ static void shade_view(const struct refine *f, int i, float *planes)
         shade_apply(f->r->pool, &f->v->shade[i], f->pic.w, f->pic.h, planes);
 }
 
-/* Render a part of view i at the current size and compare it with its photographs. */
+/* Render a part of view i at the current size and compare it with its photographs; when the scene
+ * learns from them, what they show alone is left out. */
 static err_t compare_view(struct refine *f, int i, const struct part *part, const float behind[3],
-                          struct loss_output *out)
+                          bool learns, struct loss_output *out)
 {
     struct raster_input in = view_input(f, &part->cam);
     const struct extent *px = &f->v->extent[i];
@@ -294,9 +298,14 @@ static err_t compare_view(struct refine *f, int i, const struct part *part, cons
                             .x = part->x,
                             .y = part->y,
                             .held_px = f->held_px >> f->level,
-                            .held_across = f->squares};
+                            .held_across = f->squares,
+                            .cell_px = f->outliers.px >> f->level,
+                            .cells_across = f->outliers.across,
+                            .excess = learns ? f->outliers.excess : NULL};
     for (int k = i; k >= 0 && !e; k = views_next(f->v, i, k)) {
         e = compare_photo(f, i, k, &as, out);
+        if (!e && as.excess)
+            e = outliers_see(f->r->team, &f->outliers, k, &as);
         as.more = true;
     }
     if (!e)
@@ -373,7 +382,7 @@ static err_t learn_view(struct refine *f)
     float pose[POSE_GRAD], behind[3];
     for (int c = 0; c < 3; c++)
         behind[c] = random_uniform(f);
-    err_t e = compare_view(f, i, &part, behind, &out);
+    err_t e = compare_view(f, i, &part, behind, true, &out);
     if (e)
         return e;
     f->loss += (float)out.loss / (float)draws_of(f);
@@ -431,6 +440,22 @@ static float held_db(const struct refine *f)
     return n > 0 ? to_decibel(sse / n) : 0.0f;
 }
 
+static void note_outliers(struct refine *f)
+{
+    float most = 0;
+    int photos = 0;
+    for (int k = 0; k < f->v->n + f->v->n_more; k++) {
+        const float share = outliers_share(&f->outliers, k);
+        photos += share > 0;
+        most = fmaxf(most, share);
+    }
+    if (photos)
+        add_note(f,
+                 "left out what the other photographs do not show: in %d photographs, at most "
+                 "%.1f %% of one",
+                 photos, 100 * (double)most);
+}
+
 /* Present held-out error of all views. */
 static err_t measure_held_out(struct refine *f, float *db)
 {
@@ -438,7 +463,7 @@ static err_t measure_held_out(struct refine *f, float *db)
     for (int i = 0; i < f->v->n; i++) {
         const struct part whole = view_now(f, i);
         struct loss_output out;
-        err_t e = compare_view(f, i, &whole, black, &out);
+        err_t e = compare_view(f, i, &whole, black, false, &out);
         if (e)
             return e;
     }
@@ -602,7 +627,7 @@ static err_t time_level(struct refine *f, int level)
         const int i = k % 2 * f->v->n / 2;
         const struct part part = draw_part(f, i);
         struct loss_output out;
-        err_t e = compare_view(f, i, &part, black, &out);
+        err_t e = compare_view(f, i, &part, black, false, &out);
         if (!e)
             e = propagate_loss(f, &part.cam, &sink);
         if (e)
@@ -699,6 +724,8 @@ static err_t run_steps(struct refine *f)
             e = end_round(f, round);
         if (!e)
             e = update_bands(f);
+        if (!e && outliers_due(f->step, f->steps))
+            e = outliers_judge(f->r, &f->outliers, &f->raster, f->s);
         if (!e)
             e = refine_state_keep(f);
     }
@@ -706,6 +733,8 @@ static err_t run_steps(struct refine *f)
         e = judge_band(f);
     if (f->steps < f->cfg->steps && !f->rep->stopped_early)
         add_note(f, "%d of %d steps: no more fit into the time", f->steps, f->cfg->steps);
+    if (!e)
+        note_outliers(f);
     return e ? e : settle_best(f);
 }
 
@@ -737,6 +766,7 @@ err_t refine_run(const struct run *r, const struct views *v, const struct refine
         e = refine_state_begin(&f, &resumed);
     if (!e) {
         choose_held(&f);
+        outliers_begin(&f.outliers);
         f.extent = pose_extent(&io->g, io->cams, io->n_views);
         density_prune(&f.d, 0.01f); // core/refine/README.md 1, D
         density_sort(&f.d);

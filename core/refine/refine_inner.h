@@ -5,6 +5,7 @@
 #include "core/base/sha256.h"
 #include "core/refine/density.h"
 #include "core/refine/loss.h"
+#include "core/refine/outliers.h"
 #include "core/refine/pyramid.h"
 #include "core/refine/refine.h"
 #include "core/splat/raster.h"
@@ -38,6 +39,7 @@ struct refine {
     struct pyramid photos;
     uint8_t *held;          // (n, squares, squares)
     int held_px, squares;   // edge of a square; squares of the longest edge
+    struct outliers outliers;
     double *photo_sse;      // (photographs) held-out squared error of the last comparisons
     double *photo_n;        // (photographs) number of these values
     int *shuffled, n_drawn; // (n) order of the views in this round

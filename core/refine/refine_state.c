@@ -194,6 +194,8 @@ static void pass_views(struct passage *p)
     const size_t n = (size_t)f->v->n, photos = n + (size_t)f->v->n_more;
     pass(p, f->photo_sse, photos * sizeof *f->photo_sse);
     pass(p, f->photo_n, photos * sizeof *f->photo_n);
+    pass(p, f->outliers.score, photos * outliers_cells(&f->outliers) * sizeof *f->outliers.score);
+    pass(p, f->outliers.skip, photos * outliers_cells(&f->outliers));
     pass(p, f->pose_m, 12 * n * sizeof *f->pose_m);
     for (int i = 0; i < f->v->n; i++)
         pass_int(p, &f->pose_t[i], 0, f->step * PART_DRAWS);

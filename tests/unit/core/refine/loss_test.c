@@ -61,14 +61,28 @@ static bool is_held(int x, int y)
            in.held[y / in.held_px * ((W + in.held_px - 1) / in.held_px) + x / in.held_px];
 }
 
-static double ref_similarity(const double *d, const uint8_t *ph)
+static bool is_skipped(int x, int y)
+{
+    return in.skip && in.skip[y / in.cell_px * in.cells_across + x / in.cell_px];
+}
+
+static double frozen[3 * PX];
+
+/* Display value of the photograph; where it is left out, that of the picture. */
+static double ref_photo(int i)
+{
+    return is_skipped(i % PX % W, i % PX / W) ? frozen[i] : photo[i] / 255.0;
+}
+
+static double ref_similarity(const double *d, int from)
 {
     double taps[11], norm = 0, m[5] = {0};
     for (int k = 0; k < 11; k++)
         norm += taps[k] = exp(-(k - 5) * (k - 5) / 4.5);
     for (int j = 0; j < 121; j++) {
         int at = j / 11 * W + j % 11;
-        double w = taps[j / 11] * taps[j % 11] / norm / norm, a = d[at], b = ph[at] / 255.0;
+        double w = taps[j / 11] * taps[j % 11] / norm / norm, a = d[from + at],
+               b = ref_photo(from + at);
         const double add[5] = {w * a, w * b, w * a * a, w * b * b, w * a * b};
         for (int k = 0; k < 5; k++)
             m[k] += add[k];
@@ -83,21 +97,19 @@ static double ref_of(const double *d)
 {
     double l1 = 0, ssim = 0;
     for (int i = 0; i < 3 * PX; i++)
-        l1 += fabs(d[i] - photo[i] / 255.0);
+        l1 += fabs(d[i] - ref_photo(i));
     for (int i = 0; i < 3 * PX; i++)
         if (i % PX % W < W - 10 && i % PX / W < H - 10)
-            ssim += ref_similarity(d + i, photo + i);
+            ssim += ref_similarity(d, i);
     ssim /= 3.0 * (W - 10) * (H - 10);
     return (double)in.w_l1 * l1 / (3 * PX) + (double)in.w_ssim * (1 - ssim);
 }
-
-static double frozen[3 * PX];
 
 static double ref_loss(void)
 {
     static double d[3 * PX];
     for (int i = 0; i < 3 * PX; i++)
-        d[i] = is_held(i % PX % W, i % PX / W)
+        d[i] = is_held(i % PX % W, i % PX / W) || is_skipped(i % PX % W, i % PX / W)
                    ? frozen[i]
                    : display(i / PX, ref_radiance[i], ref_alpha[i % PX]);
     return ref_of(d);
@@ -198,6 +210,48 @@ static void test_gradients(void **state)
         in.held = NULL;
         assert_int_equal(loss_run(&run, &work, &in, &out), OK);
         compare("tone curve", out.tone, want_tone, TONE_PARAMS, STEP_TONE);
+        arena_free(&arena);
+    }
+}
+
+/* Cells that are left out, some of them in held-out squares, and what all cells are off by. */
+static void test_left_out(void **state)
+{
+    (void)state;
+    enum { CELL = 4, ACROSS = (W + CELL - 1) / CELL, CELLS = ACROSS * ((H + CELL - 1) / CELL) };
+    static uint8_t skip[CELLS];
+    static float excess[3 * CELLS];
+    for (int i = 0; i < CELLS; i++)
+        skip[i] = i % 3 == 0 || i / ACROSS == 3;
+    for (int m = next_isa(-1), first = m; m < N_MASKS; m = next_isa(m)) {
+        seed = 4;
+        open_case(masks[m]);
+        in.cell_px = CELL;
+        in.cells_across = ACROSS;
+        in.skip = skip;
+        in.excess = excess;
+        if (m == first)
+            ref_gradients();
+        assert_int_equal(loss_run(&run, &work, &in, &out), OK);
+        assert_true(fabs(out.loss - want_loss) < 1e-6);
+        compare("radiance", work.d_radiance, want_radiance, 3 * PX, STEP_RADIANCE);
+        double mean[3 * CELLS] = {0}, sse = 0;
+        int n[CELLS] = {0}, n_held = 0;
+        for (int i = 0; i < 3 * PX; i++) {
+            const int x = i % PX % W, y = i % PX / W, cell = y / CELL * ACROSS + x / CELL;
+            const double diff = frozen[i] - photo[i] / 255.0;
+            mean[(y / CELL * 3 + i / PX) * ACROSS + x / CELL] += diff;
+            n[cell] += i < PX;
+            sse += is_held(x, y) && !skip[cell] ? diff * diff : 0;
+            n_held += is_held(x, y) && !skip[cell];
+            assert_true(!skip[cell] || work.d_radiance[i] == 0);
+        }
+        assert_true(fabs(out.held_sse - sse) < 1e-4 * sse);
+        assert_int_equal(out.held_n, n_held);
+        for (int i = 0; i < 3 * CELLS; i++) {
+            const int cell = i / (3 * ACROSS) * ACROSS + i % ACROSS;
+            assert_true(fabs((double)excess[i] - mean[i] / n[cell]) < 1e-5);
+        }
         arena_free(&arena);
     }
 }
@@ -363,9 +417,9 @@ static void test_refuses(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_gradients), cmocka_unit_test(test_shared),
-        cmocka_unit_test(test_deep),      cmocka_unit_test(test_part),
-        cmocka_unit_test(test_held_out),  cmocka_unit_test(test_extremes),
-        cmocka_unit_test(test_refuses)};
+        cmocka_unit_test(test_gradients), cmocka_unit_test(test_left_out),
+        cmocka_unit_test(test_shared),    cmocka_unit_test(test_deep),
+        cmocka_unit_test(test_part),      cmocka_unit_test(test_held_out),
+        cmocka_unit_test(test_extremes),  cmocka_unit_test(test_refuses)};
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -57,6 +57,7 @@ static void open_start(void)
     } else {
         open_world(2, 1);
         take_brackets(2);
+        stand_before(4);
     }
     pose_move(&W.cams[1], off);
     W.r.cancel = &cancel;

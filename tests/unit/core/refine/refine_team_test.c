@@ -97,6 +97,7 @@ static void open_start(bool wide)
     } else {
         open_world(2, 1);
         take_brackets(2);
+        stand_before(4);
     }
 }
 

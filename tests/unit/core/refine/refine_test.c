@@ -89,6 +89,29 @@ static void test_brackets(void **state)
     assert_true(error[1] < 0.6 * error[0]); // 0.49 to 0.52 by compiler
 }
 
+/* Somebody stands in the way of two photographs. */
+static void test_outliers(void **state)
+{
+    (void)state;
+    double error[2];
+    for (int k = 0; k < 2; k++) {
+        open_world(2, 0);
+        if (k) {
+            stand_before(1);
+            stand_before(3);
+        }
+        const struct refine_report rep = refine(240, 0, false);
+        bool noted = false;
+        for (int i = 0; i < rep.n_notes; i++)
+            noted = noted || strstr(rep.notes[i], "in 2 photographs");
+        assert_true(noted == (k > 0));
+        error[k] = radiance_error();
+        close_world();
+    }
+    print_message("  error of ln radiance: %.3f, %.3f where somebody stood\n", error[0], error[1]);
+    assert_true(error[1] < 1.3 * error[0]);
+}
+
 static void test_parts(void **state)
 {
     (void)state;
@@ -353,12 +376,13 @@ static void test_begin(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_learns),     cmocka_unit_test(test_brackets),
-        cmocka_unit_test(test_parts),      cmocka_unit_test(test_no_steps),
-        cmocka_unit_test(test_same_bytes), cmocka_unit_test(test_bands),
-        cmocka_unit_test(test_align),      cmocka_unit_test(test_align_nothing),
-        cmocka_unit_test(test_extremes),   cmocka_unit_test(test_cancel),
-        cmocka_unit_test(test_plan),       cmocka_unit_test(test_begin),
-        cmocka_unit_test(test_keeps_best), cmocka_unit_test(test_time)};
+        cmocka_unit_test(test_learns),        cmocka_unit_test(test_brackets),
+        cmocka_unit_test(test_outliers),      cmocka_unit_test(test_parts),
+        cmocka_unit_test(test_no_steps),      cmocka_unit_test(test_same_bytes),
+        cmocka_unit_test(test_bands),         cmocka_unit_test(test_align),
+        cmocka_unit_test(test_align_nothing), cmocka_unit_test(test_extremes),
+        cmocka_unit_test(test_cancel),        cmocka_unit_test(test_plan),
+        cmocka_unit_test(test_begin),         cmocka_unit_test(test_keeps_best),
+        cmocka_unit_test(test_time)};
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

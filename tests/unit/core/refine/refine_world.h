@@ -146,6 +146,15 @@ static inline void take_brackets(int n)
     photograph(V + W.v.n_more);
 }
 
+/* Something that only photograph k shows: px [32, 64) of both axes. */
+static inline void stand_before(int k)
+{
+    for (int i = 0; i < 32 * 32 * 3; i++) {
+        const int x = 32 + i / 3 % 32, y = 32 + i / 96;
+        W.rgb[3 * (k * PX + y * S + x) + i % 3] = (uint8_t)(i % 3 == k % 3 ? 230 : 40 + x % 8);
+    }
+}
+
 static inline void close_world(void)
 {
     pool_close(W.r.pool);
