@@ -187,8 +187,9 @@ static void hide_codes(const struct job *j, int colour, int y, float *codes)
     if (!j->in->skip)
         return;
     const uint8_t *skip = j->in->skip + cell_at(j, y);
-    for (int i = 0; i < j->w; i++)
-        codes[i] = skip[i / px] ? 255.0f * ldr[i] : codes[i];
+    for (int from = 0; from < j->w; from += px)
+        for (int i = from; i < num_min(from + px, j->w) && skip[from / px]; i++)
+            codes[i] = 255.0f * ldr[i];
 }
 
 static void code_row(const struct job *j, int colour, int y, float *out)
@@ -284,9 +285,11 @@ static void measure_held_out(const struct job *j, int colour, int y, const float
 
 static void stop_skipped(const struct job *j, int y, float *d)
 {
+    const int px = j->in->cell_px;
     const uint8_t *skip = j->in->skip + cell_at(j, y);
-    for (int i = 0; i < j->w; i++)
-        d[i] = skip[i / j->in->cell_px] ? 0 : d[i];
+    for (int from = 0; from < j->w; from += px)
+        for (int i = from; i < num_min(from + px, j->w) && skip[from / px]; i++)
+            d[i] = 0;
 }
 
 /* d loss / d display of one row and colour: SSIM through the blurred maps, L1, held-out squares. */

@@ -294,10 +294,17 @@ err_t outliers_judge(const struct run *r, struct outliers *o, const struct raste
     return team_copy(r->team, o->skip, (size_t)n * outliers_cells(o));
 }
 
+const uint8_t *outliers_skip(const struct outliers *o, int k)
+{
+    const size_t cells = outliers_cells(o);
+    const uint8_t *skip = o->skip + (size_t)k * cells;
+    return memchr(skip, 1, cells) ? skip : NULL;
+}
+
 float outliers_share(const struct outliers *o, int k)
 {
     const struct grid g = grid_of(o, k);
-    const uint8_t *skip = outliers_skip(o, k);
+    const uint8_t *skip = o->skip + (size_t)k * outliers_cells(o);
     int n = 0;
     for (int y = 0; y < g.h; y++)
         for (int x = 0; x < g.w; x++)

@@ -63,9 +63,7 @@ static inline size_t outliers_cells(const struct outliers *o)
     return (size_t)o->across * (size_t)o->down;
 }
 
-static inline const uint8_t *outliers_skip(const struct outliers *o, int k)
-{
-    return o->skip + (size_t)k * outliers_cells(o);
-}
+/* Its cells; NULL: all of it counts. */
+const uint8_t *outliers_skip(const struct outliers *o, int k);
 
 #endif
