@@ -389,7 +389,7 @@ err_t img_encode_jpeg(const struct image8 *im, int quality, const char *name, vo
     if (!out || !tj)
         e = err_fail(ERR_NOMEM, "%s: no memory for the JPEG encoder", name);
     else if (tjCompress2(tj, im->px, im->w, 0, im->h, TJPF_RGB, &out, &used, TJSAMP_444, quality,
-                         TJFLAG_NOREALLOC) != 0)
+                         TJFLAG_NOREALLOC | TJFLAG_PROGRESSIVE) != 0) // a twentieth smaller
         e = err_fail(ERR_ARG, "%s: JPEG: %s", name, tjGetErrorStr2(tj));
     if (tj)
         tjDestroy(tj);

@@ -25,9 +25,7 @@ static const char VIEWER_NAME[] = "view.html";
 static struct viewer_input viewer_of(const struct job_result *j, const struct outdir *o)
 {
     return (struct viewer_input){.scene = &j->scene,
-                                 .photos = j->views.n > 0 ? j->views.rgb : NULL,
-                                 .log2t = j->views.n > 0 ? j->views.log2t : NULL,
-                                 .n_log2t = j->views.n + j->views.n_more,
+                                 .photos = j->views.n > 0 ? &j->views : NULL,
                                  .title = file_name(o->path),
                                  .report = REPORT_PAGE_NAME};
 }
@@ -69,10 +67,9 @@ err_t publish_check(const struct capture *c, const struct job_config *cfg, struc
     const struct scene most = {.g = {.n = recipe.gaussians_max, .degree = recipe.degree_max},
                                .n_views = recipe.places,
                                .size = cfg->size};
-    const struct viewer_input viewer = {.scene = &most,
-                                        .photos = (const uint8_t *)"", // only its presence counts
-                                        .n_log2t = c->n,
-                                        .title = file_name(o->path)};
+    const struct views photos = {.n = c->n}; // only their number counts
+    const struct viewer_input viewer = {
+        .scene = &most, .photos = &photos, .title = file_name(o->path)};
     err_t e = check_names(c);
     return e ? e : outdir_reserve(o, result_bytes(&viewer, c->n));
 }

@@ -26,7 +26,7 @@ EMBED_FILE(viewer_light, "firmware/web/light.js");
 EMBED_FILE(viewer_js, "firmware/web/view.js");
 EMBED_FILE(viewer_tools, "firmware/web/tools.js");
 
-enum { INFO_BYTES = 1 << 15, VIEW_BYTES = 2048, QUALITY = 90 };
+enum { INFO_BYTES = 1 << 15, VIEW_BYTES = 2048, QUALITY = 75 };
 
 struct page {
     FILE *f;
@@ -97,26 +97,46 @@ static void put_floats(FILE *f, const char *key, const float *v, int n)
     fputc(']', f);
 }
 
+/* Photographs of a place that the page may hold. */
+static int exposures_max(const struct views *v)
+{
+    size_t pixels = extent_total(v->extent, v->n);
+    return pixels > VIEWER_PHOTO_PIXELS ? 1 : (int)(VIEWER_PHOTO_PIXELS / pixels);
+}
+
 static err_t put_photo(const struct page *p, int i, FILE *f)
 {
-    const struct scene *s = p->in->scene;
-    const struct camera *c = &s->cams[i];
-    size_t at = 0, n;
-    for (int k = 0; k < i; k++)
-        at += 3 * (size_t)s->cams[k].w * (size_t)s->cams[k].h;
-    struct image8 im = {c->w, c->h, 3, (uint8_t *)p->in->photos + at};
+    const struct views *v = p->in->photos;
+    struct image8 im = {v->extent[i].w, v->extent[i].h, 3, views_rgb(v, i)};
     void *jpeg;
-    err_t e = img_encode_jpeg(&im, QUALITY, s->names[i], &jpeg, &n);
+    size_t n;
+    err_t e = img_encode_jpeg(&im, QUALITY, v->names[i], &jpeg, &n);
     if (e)
         return e;
-    fputs(",\"photo\":\"data:image/jpeg;base64,", f);
+    fprintf(f, "{\"stops\":%.9g,\"src\":\"data:image/jpeg;base64,",
+            (double)(v->log2t[i] - p->in->scene->tone.mid_log2t));
     struct pagetext text;
     pagetext_begin(&text, f);
     pagetext_put(&text, jpeg, n);
     pagetext_end(&text);
-    fputc('"', f);
+    fputs("\"}", f);
     free(jpeg);
     return OK;
+}
+
+static err_t put_photos(const struct page *p, int place, FILE *f)
+{
+    const struct views *v = p->in->photos;
+    err_t e = OK;
+    int left = exposures_max(v);
+    fputs(",\"photos\":[", f);
+    for (int i = place; i >= 0 && left > 0 && !e; i = views_next(v, place, i), left--) {
+        if (i != place)
+            fputc(',', f);
+        e = put_photo(p, i, f);
+    }
+    fputc(']', f);
+    return e;
 }
 
 static err_t put_view(const struct page *p, int i, FILE *f)
@@ -134,7 +154,7 @@ static err_t put_view(const struct page *p, int i, FILE *f)
     put_floats(f, "q", c->q, 4);
     fputc(',', f);
     put_floats(f, "t", c->t, 3);
-    err_t e = p->in->photos ? put_photo(p, i, f) : OK;
+    err_t e = p->in->photos ? put_photos(p, i, f) : OK;
     fputc('}', f);
     return e;
 }
@@ -176,8 +196,9 @@ static err_t put_info(const struct page *p, FILE *f)
         json_put_string(f, p->in->report);
     else
         fputs("null", f);
-    const float *taken = p->in->log2t ? p->in->log2t : s->log2t;
-    int n_taken = p->in->log2t ? p->in->n_log2t : s->n_views;
+    const struct views *photos = p->in->photos;
+    const float *taken = photos ? photos->log2t : s->log2t;
+    int n_taken = photos ? photos->n + photos->n_more : s->n_views;
     fputs(",\"taken\":[", f);
     for (int i = 0; i < n_taken; i++)
         fprintf(f, "%s%.9g", i ? "," : "", (double)(taken[i] - s->tone.mid_log2t));
@@ -289,11 +310,13 @@ uint64_t viewer_bytes(const struct viewer_input *in)
     const struct scene *s = in->scene;
     uint64_t splat =
         PAGESPLATS_BYTES + (uint64_t)pagesplats_sh_bytes(page_degree(s->g.n, s->g.degree));
-    uint64_t photo = in->photos ? 3 * (uint64_t)s->size * (uint64_t)s->size + 4096 : 0;
-    uint64_t bytes = (uint64_t)s->g.n * splat + (uint64_t)s->n_views * photo;
+    uint64_t photos = in->photos ? (uint64_t)in->photos->n + (uint64_t)in->photos->n_more : 0;
+    uint64_t bytes =
+        (uint64_t)s->g.n * splat + photos * (3 * (uint64_t)s->size * (uint64_t)s->size + 4096);
     return viewer_html_size + viewer_css_size + viewer_unpack_size + viewer_splats_size +
-           viewer_light_size + viewer_js_size + INFO_BYTES + (uint64_t)s->n_views * VIEW_BYTES +
-           16 * (uint64_t)in->n_log2t + 12 * strlen(in->title) + bytes / 3 * 4 + 64;
+           viewer_light_size + viewer_tools_size + viewer_js_size + INFO_BYTES +
+           (uint64_t)s->n_views * VIEW_BYTES + 64 * photos + 12 * strlen(in->title) +
+           bytes / 3 * 4 + 64;
 }
 
 /* JSON has no other numbers. */
@@ -324,7 +347,10 @@ static err_t check_page(const char *path, const struct viewer_input *in)
         e = check_finite(path, "the tone curve", s->tone.p, TONE_PARAMS);
     if (!e)
         e = check_finite(path, "the middle exposure", &s->tone.mid_log2t, 1);
-    return e || !in->log2t ? e : check_finite(path, "the exposures", in->log2t, in->n_log2t);
+    const struct views *photos = in->photos;
+    return e || !photos
+               ? e
+               : check_finite(path, "the exposures", photos->log2t, photos->n + photos->n_more);
 }
 
 size_t viewer_plan(const struct viewer_input *in)

@@ -7,21 +7,19 @@
 #include "core/base/types.h"
 
 enum {
-    VIEWER_SPLATS_MAX = 1 << 22,  // that a page may hold
-    VIEWER_SCENE_MAX = 256 << 20, // bytes in the browser; SH bands beyond that are left out, the
-                                  // highest first
+    VIEWER_SPLATS_MAX = 1 << 22,   // that a page may hold
+    VIEWER_SCENE_MAX = 256 << 20,  // bytes in the browser; SH bands beyond that are left out, the
+                                   // highest first
+    VIEWER_PHOTO_PIXELS = 1 << 26, // of all photographs, about: beyond that each place has fewer
+                                   // exposures, but one
 };
 
 struct viewer_input {
     const struct scene *scene;
-    const uint8_t
-        *photos;        // (n_views) pictures (h, w, 3) one after another, of the cameras' w and h,
-                        // as taken; NULL: none to compare with
-    const float *log2t; // (n_log2t) exposures of all photographs, in scale of scene->log2t, for
-    int n_log2t;        // marks; NULL: those of the views
-    const char *title;  // UTF-8
-    const char *report; // address of the report, relative; NULL: none
-    bool lossless;      // 32 bytes a splat and more (pagesplats.h); else those of pagepack.h
+    const struct views *photos; // of the scene's places, to compare with; NULL: none
+    const char *title;          // UTF-8
+    const char *report;         // address of the report, relative; NULL: none
+    bool lossless; // 32 bytes a splat and more (pagesplats.h); else those of pagepack.h
 };
 
 /* Upper bound of the file. */

@@ -243,24 +243,24 @@ function showClipping(on) {
   invalidate(false);
 }
 
-/* Texture of this view's photograph; null until it is there. */
-function photoTexture() {
-  const view = info.views[state.at], mine = gpu;
-  if (state.tone !== 3 || !view || !view.photo) return null;
-  if (gpu.photoOf === view) return gpu.photo;
+/* Texture of a photograph, to show the difference from; null until it is there. */
+function photoTexture(photo) {
+  const mine = gpu;
+  if (state.tone !== 3 || !photo) return null;
+  if (gpu.photoOf === photo) return gpu.photo;
   const img = new Image();
   if (gpu.photo) gl.deleteTexture(gpu.photo);
-  gpu.photoOf = view;
+  gpu.photoOf = photo;
   gpu.photo = null;
   img.onload = () => {
-    if (gpu !== mine || gpu.photoOf !== view) return;
+    if (gpu !== mine || gpu.photoOf !== photo) return;
     gpu.photo = texture(gl.RGBA8, img.naturalWidth, img.naturalHeight);
     gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, gl.RGBA, gl.UNSIGNED_BYTE, img);
     for (const key of ["MIN", "MAG"])
       gl.texParameteri(gl.TEXTURE_2D, gl[`TEXTURE_${key}_FILTER`], gl.LINEAR);
     invalidate(false);
   };
-  img.src = view.photo;
+  img.src = photo.src;
   return null;
 }
 
@@ -326,5 +326,5 @@ function openLightTools() {
   for (const id of ["middle", "width"])
     byId(id).addEventListener("input", () => setRange(+byId("middle").value, +byId("width").value));
   openRegions();
-  byId("tone").options[3].disabled = !info.views.some((v) => v.photo);
+  byId("tone").options[3].disabled = !info.views.some((v) => v.photos);
 }

@@ -639,7 +639,8 @@ function blend(v) {
 }
 
 function tone() {
-  const p = gpu.tone, photo = photoTexture(), ratio = canvas.width / canvas.clientWidth || 1;
+  const p = gpu.tone, own = photograph(), photo = photoTexture(own);
+  const ratio = canvas.width / canvas.clientWidth || 1;
   const { left, top, s } = fit(state.cam, canvas.width, canvas.height);
   gl.bindFramebuffer(gl.FRAMEBUFFER, null);
   gl.viewport(0, 0, canvas.width, canvas.height);
@@ -649,7 +650,7 @@ function tone() {
   gl.uniform1f(p.at.clip, state.clip ? 8 * ratio : 0);
   gl.uniform2i(p.at.size, canvas.width, canvas.height);
   gl.uniform1i(p.at.rough, gpu.format === gl.RGBA16F && gpu.pw < canvas.width);
-  gl.uniform1f(p.at.shift, state.ev);
+  gl.uniform1f(p.at.shift, photo ? own.stops : state.ev); // differences need one exposure
   gl.uniform1f(p.at.curveLo, gpu.curve.lo);
   gl.uniform1f(p.at.curveScale, gpu.curve.scale);
   gl.uniform1i(p.at.mode, state.tone);

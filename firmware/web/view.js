@@ -49,7 +49,7 @@ function go(i) {
   if (!n) return setCamera(someCamera());
   i = (i + n) % n;
   setCamera(cameraOf(info.views[i]), i);
-  if (state.wipe) setExposure(info.views[i].stops);
+  if (state.wipe) matchExposure();
 }
 
 /* After the camera has been changed by hand. */
@@ -207,19 +207,31 @@ function showProbe() {
 
 function showCamera() {
   byId("cameras").value = state.at;
-  byId("compare").disabled = !info.views.some((v) => v.photo);
+  byId("compare").disabled = !info.views.some((v) => v.photos);
   byId("compare").setAttribute("aria-pressed", state.wipe);
+  showTicks();
   showAway();
 }
 
+/* Of the camera, what was taken nearest to the exposure; of all others nothing. */
+function photograph() {
+  const { photos = [] } = info.views[state.at] || {};
+  const away = (p) => Math.abs(p.stops - state.ev);
+  return photos.reduce((a, b) => a && away(a) <= away(b) ? a : b, null);
+}
+
+function matchExposure() {
+  setExposure((photograph() || { stops: state.ev }).stops);
+}
+
 function layPhoto() {
-  const view = info.views[state.at], shown = state.wipe && view && view.photo;
-  byId("photo").hidden = byId("divider").hidden = !shown;
-  if (!shown) return;
+  const photo = state.wipe && photograph();
+  byId("photo").hidden = byId("divider").hidden = !photo;
+  if (!photo) return;
   const v = fit(state.cam, canvas.clientWidth, canvas.clientHeight);
   const { w, h } = state.cam;
   const box = { left: v.left, top: v.top, width: v.s * w, height: v.s * h };
-  if (byId("photo").src !== view.photo) byId("photo").src = view.photo;
+  if (byId("photo").src !== photo.src) byId("photo").src = photo.src;
   for (const [key, px] of Object.entries(box)) byId("photo").style[key] = `${px}px`;
   byId("photo").style.clipPath = `inset(0 ${100 - state.split}% 0 0)`;
   byId("divider").style.left = `${v.left + box.width * state.split / 100}px`;
@@ -241,7 +253,7 @@ function setSplit(percent) {
 }
 
 function compare(on) {
-  state.wipe = on && info.views.some((v) => v.photo);
+  state.wipe = on && info.views.some((v) => v.photos);
   if (state.wipe) go(state.last);
   showCamera();
   invalidate(false);
@@ -251,18 +263,24 @@ function setExposure(ev) {
   state.ev = ev;
   byId("ev").value = ev;
   byId("stops").textContent = `${signed(ev)} EV`;
-  for (const tick of byId("ticks").children)
-    tick.setAttribute("aria-pressed", Math.abs(tick.dataset.stops - ev) < 0.05);
+  showTicks();
   showLegend();
   invalidate(false);
+}
+
+/* The mark of the exposure, or of the photograph that is compared. */
+function showTicks() {
+  const photo = (state.wipe || state.tone === 3) && photograph();
+  for (const tick of byId("ticks").children)
+    tick.setAttribute("aria-pressed",
+      Math.abs(tick.dataset.stops - (photo ? photo.stops : state.ev)) < 0.05);
 }
 
 function setTone(mode) {
   state.tone = mode;
   byId("tone").value = mode;
-  if (mode === 3) go(state.last), setExposure(info.views[state.last].stops);
-  showLegend();
-  invalidate(false);
+  if (mode === 3) go(state.last), matchExposure();
+  else setExposure(state.ev);
 }
 
 function openTicks() {

@@ -70,16 +70,19 @@ async function marks(ev) {
   showClipping(false);
   return [wrong, ...[...kinds].sort()].join('; ');
 }
-/* The largest difference from four times that of photograph and picture, inside the photograph. */
-async function differences(view) {
+/* The largest difference from four times that of photograph and picture, inside the photograph; the
+ * exposure need not be that of the photograph. */
+async function differences(view, which, off) {
+  const { stops, src } = info.views[view].photos[which];
   viewer.setTone(0);
   viewer.go(view);
-  viewer.setExposure(info.views[view].stops);
+  viewer.setExposure(stops);
   await viewer.settled();
   const scene = shown(), img = new Image(), copy = document.createElement('canvas');
-  img.src = info.views[view].photo;
+  img.src = src;
   await img.decode();
   viewer.setTone(3);
+  viewer.setExposure(stops + off);
   viewer.draw();
   while (!gpu.photo) await new Promise((done) => setTimeout(done, 10));
   const got = shown(), v = fit(state.cam, gpu.pw, gpu.ph);
@@ -193,8 +196,10 @@ value "setRange(0, 16), viewer.setTone(0)" >/dev/null
 is "document.getElementById('range').hidden" true
 is "marks(6)" "0; clipped 0,0,0; clipped 255,102,51"
 is "marks(-9)" "0; clipped 0,0,0; clipped 255,102,51; dark 0,0,0; dark 51,153,255"
-most=$(value "differences(2)")
-at_least "difference from the photograph: minus largest difference" "-$most" -6
+for which in "1, 0, 0" "2, 0, 0" "2, 1, 0.7" "2, 2, -1"; do
+    most=$(value "differences($which)")
+    at_least "difference from the photograph $which: minus largest difference" "-$most" -6
+done
 is "document.getElementById('tone').value" 3
 value "viewer.setTone(0), document.getElementById('view').style = ''" >/dev/null
 quiet "colours"

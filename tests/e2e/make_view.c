@@ -10,7 +10,8 @@
  *   dark 0     nothing that can be seen
  *   near 0     a splat on each camera, others just before it
  *   shapes 0   needles, points, plates, what reaches in from the side, quaternions of any length
- * Three views of SIZE px. The same arguments give the same bytes. */
+ * Three views of SIZE px; the last one has photographs at the exposures of all. The same arguments
+ * give the same bytes. */
 #include "core/base/gaussians.h"
 #include "core/photo/tonemap.h"
 #include "core/refine/confidence.h"
@@ -24,7 +25,7 @@
 #include <string.h>
 #include <sys/stat.h>
 
-enum { VIEWS = 3, SIZE = 112, THIN = 1500, LOSSLESS_MAX = 10000 };
+enum { VIEWS = 3, PHOTOS = 5, SIZE = 112, THIN = 1500, LOSSLESS_MAX = 10000 };
 
 static uint32_t seed = 1;
 
@@ -164,7 +165,18 @@ static void keep_proven(struct scene *s)
     s->g.n = s->confidence ? n : s->g.n;
 }
 
-static err_t write_files(const char *out, struct scene *s, const uint8_t *photos)
+/* Ramps: each photograph has another slope. */
+static void put_photos(const struct scene *s, struct views *v)
+{
+    for (int i = 0; i < PHOTOS; i++) {
+        v->extent[i] = (struct extent){SIZE, SIZE, (size_t)i * SIZE * SIZE};
+        v->log2t[i] = s->log2t[i < VIEWS ? i : i - VIEWS];
+        for (int k = 0; k < 3 * SIZE * SIZE; k++)
+            views_rgb(v, i)[k] = (uint8_t)(k / 3 % SIZE * 2 / (i < VIEWS ? 1 : i - 1));
+    }
+}
+
+static err_t write_files(const char *out, struct scene *s, const struct views *photos)
 {
     char path[FILE_PATH_CAP];
     struct viewer_input page = {
@@ -185,9 +197,17 @@ static err_t write_files(const char *out, struct scene *s, const uint8_t *photos
 
 int main(int argc, char **argv)
 {
-    static uint8_t photos[VIEWS * SIZE * SIZE * 3];
-    static char names[VIEWS][NAME_CAP];
-    static float log2t[VIEWS];
+    static uint8_t pixels[PHOTOS * SIZE * SIZE * 3];
+    static char names[PHOTOS][NAME_CAP];
+    static float log2t[VIEWS], taken[PHOTOS];
+    static struct extent extent[PHOTOS];
+    struct views photos = {.n = VIEWS,
+                           .extent = extent,
+                           .names = names,
+                           .rgb = pixels,
+                           .log2t = taken,
+                           .n_more = PHOTOS - VIEWS,
+                           .place = (int[]){VIEWS - 1, VIEWS - 1}};
     static struct camera cams[VIEWS];
     static float confidence[THIN];
     struct scene s = {.n_views = VIEWS, .size = SIZE, .names = names, .log2t = log2t, .cams = cams};
@@ -200,8 +220,6 @@ int main(int argc, char **argv)
     const char *kind = argv[2];
     int degree = strcmp(kind, "thin") == 0 ? (int)number : strcmp(kind, "walls") == 0 ? 1 : 0;
     int cap = strcmp(kind, "walls") == 0 ? (int)number : THIN;
-    for (size_t i = 0; i < sizeof photos; i++)
-        photos[i] = (uint8_t)(i / 3 % SIZE * 2);
     mkdir(argv[1], 0755);
     err_t e = arena_init(&a, "scene", gaussians_need(cap, degree));
     if (!e)
@@ -214,7 +232,8 @@ int main(int argc, char **argv)
         put_scene(&s, strcmp(kind, "scale") == 0 ? number : 1);
         for (int i = 0; i < VIEWS && strcmp(kind, "aside") == 0; i++)
             look_aside(&cams[i], i == VIEWS - 1);
-        e = write_files(argv[1], &s, photos);
+        put_photos(&s, &photos);
+        e = write_files(argv[1], &s, &photos);
     }
     if (e)
         fprintf(stderr, "make_view: %s\n", err_text());

@@ -220,13 +220,30 @@ is "document.getElementById('stops').textContent.slice(1)" "3.0 EV"
 is "document.getElementById('photo').hidden" true
 value "document.getElementById('compare').click()" >/dev/null
 wait_for "document.getElementById('photo').hidden" false
-is "viewer.state.ev" 3
+is "viewer.state.ev" -3
 wait_for "document.getElementById('photo').naturalWidth" 112
 value "window.box = document.getElementById('divider').getBoundingClientRect()" >/dev/null
 read -r x y <<<"$(value "[box.left + box.width / 2, box.top + 20].map(Math.round).join(' ')")"
 drag "$x" "$y" $((x - 60)) "$y"
 is "viewer.state.split < 45" true
 is "viewer.state.at" 2
+# of all that were taken from there the one that is nearest to the exposure, which its mark tells
+value "window.lit = () => Array.from(document.querySelectorAll('#ticks [aria-pressed=true]'))
+    .map((t) => t.dataset.stops).join(), window.which = () => viewer.info.views[viewer.state.at]
+    .photos.findIndex((p) => p.src === document.getElementById('photo').src)" >/dev/null
+is "viewer.info.views.map((v) => v.photos.length).join()" 1,1,3
+for want in "3 3 0" "1.6 3 0" "1.4 0 2" "0 0 2" "-3 -3 1" "-9 -3 1"; do
+    read -r ev stops which <<<"$want"
+    value "viewer.setExposure($ev)" >/dev/null
+    wait_for "which()" "$which"
+    is "lit()" "$stops"
+    is "viewer.state.ev" "$ev"
+done
+value "viewer.setExposure(0.4), viewer.go(1), viewer.go(2)" >/dev/null
+is "viewer.state.ev + lit() + viewer.info.views[1].photos[0].stops" 000
+value "viewer.go(0)" >/dev/null # it was photographed once
+is "viewer.state.ev + lit()" -3-3
+value "viewer.go(2), viewer.setExposure(3)" >/dev/null
 drag 400 200 430 200
 wait_for "document.getElementById('photo').hidden" true
 quiet "by hand"

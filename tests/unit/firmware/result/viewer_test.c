@@ -30,7 +30,17 @@ static struct scene scene;
 static char names[VIEWS][NAME_CAP];
 static float log2t[VIEWS];
 static struct camera cams[VIEWS];
-static uint8_t photos[VIEWS * SIZE * SIZE * 3];
+
+/* Of the second place there are two photographs. */
+static uint8_t pixels[(VIEWS + 1) * SIZE * SIZE * 3];
+static struct extent extent[VIEWS + 1];
+static float taken_log2t[VIEWS + 1];
+static struct views photos = {.n = VIEWS,
+                              .n_more = 1,
+                              .extent = extent,
+                              .rgb = pixels,
+                              .log2t = taken_log2t,
+                              .place = (int[]){1}};
 static struct viewer_input input;
 
 /* The page in memory and its parts. */
@@ -82,14 +92,19 @@ static int setup(void **state)
         log2t[i] = (float)(2 * i - 4);
         cams[i] = (struct camera){SIZE, SIZE, 20, 21, 12, 13, {0.8f, 0, 0.6f, 0}, {1, 2, 3}};
     }
-    memset(photos, 100, sizeof photos);
+    photos.names = calloc(VIEWS + 1, sizeof *photos.names);
+    for (int i = 0; i <= VIEWS; i++) {
+        extent[i] = (struct extent){SIZE, SIZE, (size_t)i * SIZE * SIZE};
+        memset(pixels + 3 * extent[i].at, 100 + 20 * i, 3 * SIZE * SIZE);
+        taken_log2t[i] = i < VIEWS ? log2t[i] : 1.5f;
+    }
     scene.n_views = VIEWS;
     scene.size = SIZE;
     scene.names = names;
     scene.log2t = log2t;
     scene.cams = cams;
     input = (struct viewer_input){.scene = &scene,
-                                  .photos = photos,
+                                  .photos = &photos,
                                   .title = "a scene",
                                   .report = "report.html",
                                   .lossless = true};
@@ -105,6 +120,7 @@ static int teardown(void **state)
     json_free(info);
     free(page);
     free(blob);
+    free(photos.names);
     free(fields.plane);
     free(fields.v);
     fields.plane = NULL;
@@ -447,6 +463,67 @@ static void important_splats_come_first(void **state)
     arena_free(&a);
 }
 
+/* Photograph k of view i: its grey. */
+static int photograph(int i, int k, double *stops)
+{
+    const struct cJSON *v = json_first(json_member(info, "views"));
+    for (; i > 0; i--)
+        v = json_next(v);
+    for (v = json_first(json_member(v, "photos")); k > 0; k--)
+        v = json_next(v);
+    assert_true(json_number(json_member(v, "stops"), stops));
+    const char *src = json_string(json_member(v, "src")), *comma = strchr(src, ',');
+    assert_true(strncmp(src, "data:image/jpeg;base64,", 23) == 0);
+    uint8_t *jpeg = malloc(strlen(comma));
+    struct image8 im;
+    assert_int_equal(img_read_mem(jpeg, decode(comma + 1, strlen(comma + 1), jpeg), "photo", &im),
+                     OK);
+    assert_true(im.w == SIZE && im.h == SIZE);
+    int grey = im.px[700];
+    img_free(&im);
+    free(jpeg);
+    return grey;
+}
+
+static int count_photographs(int i)
+{
+    const struct cJSON *v = json_first(json_member(info, "views"));
+    for (; i > 0; i--)
+        v = json_next(v);
+    return json_count(json_member(v, "photos"));
+}
+
+static void every_exposure_of_a_place_comes_along(void **state)
+{
+    (void)state;
+    double stops = NAN;
+    make_page();
+    assert_int_equal(count_photographs(0), 1);
+    assert_int_equal(count_photographs(1), 2);
+    assert_true(abs(photograph(0, 0, &stops) - 100) <= 2 && stops == -1);
+    assert_true(abs(photograph(1, 0, &stops) - 120) <= 2 && stops == 1);
+    assert_true(abs(photograph(1, 1, &stops) - 140) <= 2 && stops == 4.5);
+    taken_log2t[VIEWS] = INFINITY;
+    assert_int_equal(viewer_write(tmpdir_path("view.html"), &input), ERR_ARG);
+    assert_non_null(strstr(err_text(), "the exposures is not finite"));
+}
+
+/* Of large photographs there are fewer exposures, but one of each place. */
+static void large_photographs_have_fewer_exposures(void **state)
+{
+    (void)state;
+    const struct extent large = {8192, 4096, 0}; // half of what a page holds
+    const size_t at = extent_pixels(&large);
+    photos.rgb = calloc(at + 2 * SIZE * SIZE, 3);
+    extent[0] = large;
+    extent[1].at = extent[2].at = at;
+    make_page();
+    assert_int_equal(count_photographs(0), 1);
+    assert_int_equal(count_photographs(1), 1);
+    free(photos.rgb);
+    photos.rgb = pixels;
+}
+
 static void what_stands_around_it(void **state)
 {
     (void)state;
@@ -461,33 +538,20 @@ static void what_stands_around_it(void **state)
     assert_true(k[0] == 20 && k[1] == 21 && k[2] == 12 && k[3] == 13);
     double stops = NAN;
     assert_true(json_number(json_member(view, "stops"), &stops) && stops == -1);
-    const struct cJSON *taken = json_member(info, "taken");
-    assert_int_equal(json_count(taken), VIEWS);
-    assert_true(json_number(json_first(taken), &stops) && stops == -1);
+    const struct cJSON *marks = json_member(info, "taken");
+    assert_int_equal(json_count(marks), VIEWS + 1);
+    assert_true(json_number(json_first(marks), &stops) && stops == -1);
     assert_true(number("middle") == -3);
     assert_string_equal(json_string(json_member(info, "report")), "report.html");
-    /* the photograph */
-    const char *photo = json_string(json_member(view, "photo")), *comma = strchr(photo, ',');
-    assert_true(strncmp(photo, "data:image/jpeg;base64,", 23) == 0);
-    uint8_t *jpeg = malloc(strlen(comma));
-    struct image8 im;
-    assert_int_equal(img_read_mem(jpeg, decode(comma + 1, strlen(comma + 1), jpeg), "photo", &im),
-                     OK);
-    assert_true(im.w == SIZE && im.h == SIZE && abs(im.px[700] - 100) <= 2);
-    img_free(&im);
-    free(jpeg);
     /* the promise of the issue, and that of viewer_bytes */
     assert_true(page_bytes - info_chars - blob_chars < FRAME_MAX);
     assert_null(strstr(page, "\n  ")); // no indentation
     assert_true(page_bytes <= viewer_bytes(&input));
-    const float more[] = {1, 2, -3.5f};
     input.photos = NULL;
     input.report = NULL;
-    input.log2t = more;
-    input.n_log2t = 3;
     make_page();
-    assert_int_equal(json_count(json_member(info, "taken")), 3);
-    assert_null(json_member(json_first(json_member(info, "views")), "photo"));
+    assert_int_equal(json_count(json_member(info, "taken")), VIEWS);
+    assert_null(json_member(json_first(json_member(info, "views")), "photos"));
     assert_true(page_bytes <= viewer_bytes(&input));
 }
 
@@ -646,6 +710,8 @@ int main(void)
         TEST(packed_splats_come_back),
         TEST(few_packed_splats),
         TEST(important_splats_come_first),
+        TEST(every_exposure_of_a_place_comes_along),
+        TEST(large_photographs_have_fewer_exposures),
         TEST(what_stands_around_it),
         TEST(the_page_begins_where_most_is_proven),
         TEST(hostile_texts),
