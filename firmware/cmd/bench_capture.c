@@ -4,6 +4,7 @@
 
 #include "drivers/device/clocks.h"
 #include "firmware/base/engine.h"
+#include "firmware/base/tempdir.h"
 #include "firmware/capture/session.h"
 #include "firmware/store/store.h"
 
@@ -11,7 +12,6 @@
 #include "drivers/format/file.h"
 #include "drivers/format/img.h"
 
-#include <ftw.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -19,7 +19,15 @@
 #include <time.h>
 #include <unistd.h>
 
-enum { W = 1280, H = 720, TIMES = 5, TAKES = 5, WAIT_S = 3, FPS = 15, URI_CAP = 512 };
+enum {
+    W = 1280,
+    H = 720,
+    TIMES = 5,
+    TAKES = 5,
+    WAIT_S = 3,
+    FPS = 15,
+    URI_CAP = FILE_PATH_CAP + 32
+};
 
 #define SHORTEST_S 0.00025 // the others are 4 times as long, each
 #define MIDDLE_S 0.004
@@ -197,26 +205,14 @@ static err_t run_in(const char *dir, const struct config *cfg, struct bench_capt
     return e;
 }
 
-static int remove_entry(const char *path, const struct stat *st, int flag, struct FTW *at)
-{
-    (void)st;
-    (void)flag;
-    (void)at;
-    return remove(path);
-}
-
 err_t bench_capture_run(int cameras, const struct config *cfg, struct bench_capture *out)
 {
-    const char *tmp = getenv("TMPDIR");
-    char dir[256];
+    char dir[FILE_PATH_CAP];
     *out = (struct bench_capture){.cameras = cameras, .w = W, .h = H, .fps = FPS};
-    if (snprintf(dir, sizeof dir, "%s/hdrig-bench-XXXXXX", tmp && *tmp ? tmp : "/tmp") >=
-        (int)sizeof dir)
-        return err_fail(ERR_ARG, "TMPDIR: longer than %zu bytes", sizeof dir - 20);
-    if (!mkdtemp(dir))
-        return err_fail(ERR_IO, "%s: cannot create", dir);
-    err_t e = run_in(dir, cfg, out);
-    nftw(dir, remove_entry, 16, FTW_DEPTH | FTW_PHYS);
+    err_t e = tempdir_make("hdrig-bench", dir);
+    if (!e)
+        e = run_in(dir, cfg, out);
+    tempdir_remove(dir);
     return e;
 }
 

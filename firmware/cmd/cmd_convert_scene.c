@@ -23,8 +23,6 @@
 
 enum { VIEWS_MAX = 4, SIDE_MAX = 448 }; // for the comparison
 
-#define BRIGHT 0.01 // natural logarithm: more than rounding above white
-
 struct request {
     const char *in, *out, *spz_text, *json, *crop;
     struct sceneio_format format;
@@ -230,58 +228,6 @@ static err_t compare_scenes(struct state *st)
 
 /* ---- report ---- */
 
-/* Splats of which some colour is brighter than white where the tone curve shows sRGB. */
-static int count_bright(const struct scene *s)
-{
-    const double shift = log(2) * (double)display_ev(&s->tone);
-    int n = 0;
-    for (int i = 0; i < s->g.n; i++) {
-        float most = -INFINITY;
-        for (int c = 0; c < 3; c++)
-            most = fmaxf(most, s->g.plane[G_SH + c][i]);
-        n += SH_BASIS0 * (double)most + shift > BRIGHT;
-    }
-    return n;
-}
-
-/* Warn about display colours: their exposure, and light above white. */
-static void warn_display(const struct request *rq, const struct state *st)
-{
-    const struct sceneio_info *info = &st->info;
-    int bright = count_bright(&st->scene), n = st->scene.g.n;
-    if (info->has_sidecar)
-        log_warn("%s: display colours, taken as sRGB at the middle exposure of its sidecar",
-                 rq->in);
-    else if (info->ev != 0)
-        log_warn("%s: display colours, taken as sRGB at its own %.2f stops", rq->in,
-                 (double)info->ev);
-    else
-        log_warn("%s: display colours, taken as sRGB; their exposure is not known", rq->in);
-    if (bright == 0)
-        log_warn("%s: no splat is brighter than white: if the scene had brighter light, it is lost",
-                 rq->in);
-    else if (isfinite(info->headroom))
-        log_warn("%s: %d of %d splats are brighter than white: light more than %.1f stops above "
-                 "it is lost",
-                 rq->in, bright, n, (double)info->headroom);
-    else
-        log_warn("%s: %d of %d splats are brighter than white and are kept", rq->in, bright, n);
-}
-
-static void warn_losses(const struct request *rq, const struct state *st)
-{
-    const struct gaussians_report *r = &st->report;
-    if (!st->info.has_hdr)
-        warn_display(rq, st);
-    if (st->info.band_lost)
-        log_warn("%s: display colours of degree 4: the highest band is left out", rq->in);
-    if (r->dropped > 0)
-        log_warn("%s: %d splats were not finite and are left out", rq->in, r->dropped);
-    if (r->repaired > 0)
-        log_warn("%s: %d splats had values out of range, which were brought back", rq->in,
-                 r->repaired);
-}
-
 static err_t report_losses(const struct request *rq, struct state *st)
 {
     const struct loss *l = &st->loss;
@@ -373,7 +319,7 @@ static err_t convert_scene(const struct request *rq, struct state *st)
         return e;
     if (stat(rq->out, &file) == 0)
         st->bytes = (double)file.st_size;
-    warn_losses(rq, st);
+    sceneio_warn(rq->in, &st->info, &st->scene, &st->report);
     return report_losses(rq, st);
 }
 

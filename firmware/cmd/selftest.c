@@ -7,14 +7,13 @@
 
 #include "drivers/device/clocks.h"
 #include "firmware/base/engine.h"
+#include "firmware/base/tempdir.h"
 #include "firmware/capture/session.h"
 #include "firmware/cmd/cmd.h"
 
 #include "core/base/num.h"
 #include "drivers/format/file.h"
 
-#include <dirent.h>
-#include <errno.h>
 #include <math.h>
 #include <stdarg.h>
 #include <stdlib.h>
@@ -534,28 +533,6 @@ static err_t shoot_bracket(struct stand *r, struct session *s, enum selftest_che
     return e == ERR_CANCELLED || e == ERR_NOMEM ? e : OK;
 }
 
-/* The folder of the calibration of this run: made and, with everything in it, removed. */
-static err_t make_folder(char path[FILE_PATH_CAP])
-{
-    const char *tmp = getenv("TMPDIR");
-    err_t e = file_join(tmp && *tmp ? tmp : "/tmp", "hdrig-selftest-XXXXXX", path);
-    if (!e && !mkdtemp(path))
-        e = err_fail(ERR_IO, "%s: %s", path, strerror(errno));
-    return e;
-}
-
-static void remove_folder(const char *path)
-{
-    char file[FILE_PATH_CAP];
-    DIR *d = opendir(path);
-    for (struct dirent *x; d && (x = readdir(d));)
-        if (x->d_name[0] != '.' && file_join(path, x->d_name, file) == OK)
-            unlink(file);
-    if (d)
-        closedir(d);
-    rmdir(path);
-}
-
 static err_t brackets_with(struct stand *r, const char *calibration)
 {
     const struct camera_cfg *cfg = &r->o->camera;
@@ -588,14 +565,14 @@ static err_t check_brackets(struct stand *r)
         return brackets_with(r, r->o->calibration);
     if (!r->t->info.unit[0])
         return brackets_with(r, NULL);
-    err_t e = make_folder(folder);
+    err_t e = tempdir_make("hdrig-selftest", folder); // for the calibration of this run
     if (e)
         return e;
     if (calib_save(folder, &r->t->info, &r->t->measured.calib) != OK)
         set_finding(r->t, SELFTEST_BRACKET3, SELFTEST_SKIPPED, "%.190s", err_text());
     else
         e = brackets_with(r, folder);
-    remove_folder(folder);
+    tempdir_remove(folder);
     return e;
 }
 

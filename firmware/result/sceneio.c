@@ -17,6 +17,7 @@
 #include "drivers/format/spz.h"
 #include "drivers/format/spzwrite.h"
 
+#include <math.h>
 #include <string.h>
 
 enum kind { HDRIG, PLY, SPZ, GLB, SPLAT, KSPLAT, HTML, KINDS };
@@ -148,6 +149,60 @@ err_t sceneio_read(const char *path, struct arena *a, struct scene *s,
     return e;
 }
 
+/* ---- what reading found ---- */
+
+#define BRIGHT 0.01 // natural logarithm: more than rounding above white
+
+/* Splats of which some colour is brighter than white where the tone curve shows sRGB. */
+static int count_bright(const struct scene *s)
+{
+    const double shift = log(2) * (double)display_ev(&s->tone);
+    int n = 0;
+    for (int i = 0; i < s->g.n; i++) {
+        float most = -INFINITY;
+        for (int c = 0; c < 3; c++)
+            most = fmaxf(most, s->g.plane[G_SH + c][i]);
+        n += SH_BASIS0 * (double)most + shift > BRIGHT;
+    }
+    return n;
+}
+
+/* Display colours: their exposure, and light above white. */
+static void warn_display(const char *path, const struct sceneio_info *info, const struct scene *s)
+{
+    int bright = count_bright(s), n = s->g.n;
+    if (info->has_sidecar)
+        log_warn("%s: display colours, taken as sRGB at the middle exposure of its sidecar", path);
+    else if (info->ev != 0)
+        log_warn("%s: display colours, taken as sRGB at its own %.2f stops", path,
+                 (double)info->ev);
+    else
+        log_warn("%s: display colours, taken as sRGB; their exposure is not known", path);
+    if (bright == 0)
+        log_warn("%s: no splat is brighter than white: if the scene had brighter light, it is lost",
+                 path);
+    else if (isfinite(info->headroom))
+        log_warn("%s: %d of %d splats are brighter than white: light more than %.1f stops above "
+                 "it is lost",
+                 path, bright, n, (double)info->headroom);
+    else
+        log_warn("%s: %d of %d splats are brighter than white and are kept", path, bright, n);
+}
+
+void sceneio_warn(const char *path, const struct sceneio_info *info, const struct scene *s,
+                  const struct gaussians_report *r)
+{
+    if (!info->has_hdr)
+        warn_display(path, info, s);
+    if (info->band_lost)
+        log_warn("%s: display colours of degree 4: the highest band is left out", path);
+    if (r->dropped > 0)
+        log_warn("%s: %d splats were not finite and are left out", path, r->dropped);
+    if (r->repaired > 0)
+        log_warn("%s: %d splats had values out of range, which were brought back", path,
+                 r->repaired);
+}
+
 /* ---- writing ---- */
 
 err_t sceneio_check_place(const char *path, bool *readable)
@@ -170,7 +225,8 @@ err_t sceneio_check_place(const char *path, bool *readable)
 static err_t write_kind(const char *path, enum kind kind, const struct scene *s,
                         const struct sceneio_format *f)
 {
-    struct viewer_input page = {.scene = s, .title = "hdrig", .lossless = f->lossless};
+    struct viewer_input page = {
+        .scene = s, .title = f->title ? f->title : "hdrig", .lossless = f->lossless};
     switch (kind) {
     case HDRIG:
         return scenefile_write(path, s);

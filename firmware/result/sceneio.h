@@ -27,14 +27,19 @@ MUST_USE err_t sceneio_peek(const char *path, struct sceneio_info *out);
 MUST_USE err_t sceneio_read(const char *path, struct arena *a, struct scene *s,
                             struct gaussians_report *report);
 
+/* Log what a user should know of a file that was read: what it lacks, what was left out. */
+void sceneio_warn(const char *path, const struct sceneio_info *info, const struct scene *s,
+                  const struct gaussians_report *r);
+
 /* Refuse a place where sceneio_write would not write, before the work.
  * out:  *readable: sceneio_read knows the kind too.
  * err:  ERR_ARG (no such kind; a folder; another program's file at the sidecar's name). */
 MUST_USE err_t sceneio_check_place(const char *path, bool *readable);
 
 struct sceneio_format {
-    int spz;       // version of .spz, 3 or 4
-    bool lossless; // .html: pagesplats.h; else pagepack.h
+    int spz;           // version of .spz, 3 or 4
+    bool lossless;     // .html: pagesplats.h; else pagepack.h
+    const char *title; // .html: UTF-8; NULL: that of this program
 };
 
 /* Write the file, and its sidecar where the kind needs one: they appear under their names when

@@ -305,9 +305,8 @@ ln -s "$(command -v grep)" "$(command -v tail)" "$OUT/none"
 DISPLAY=:99 PATH=$OUT/none expect 1 'xdg-open is not installed: apt-get install xdg-utils' \
     view "$OUT/one0"
 expect 1 'empty has no view.html: make one with hdrig convert-scene' view "$OUT/empty"
-expect 1 'scene.hdrig is not a page: make one with' view "$OUT/one0/scene.hdrig"
-expect 1 'nowhere: no such folder' view "$OUT/nowhere"
-expect 2 'folder of a result is needed' view
+expect 1 'nowhere.ply: no such file or folder' view "$OUT/nowhere.ply"
+expect 2 'folder of a result or the file of a scene is needed' view
 expect 2 'serve needs the folder' view "$OUT/one0/view.html" --serve
 DISPLAY=:99 PATH=$(realpath "$OUT/bin"):$PATH succeed view "$OUT/one0"
 [ "$(cat "$OUT/opened")" = "$(realpath "$OUT")/one0/view.html" ] || fail "the wrong file was opened"
@@ -324,9 +323,65 @@ same_picture one0 2 0 60 4 0.0005 0.0025
 kill -INT $server
 wait $server || fail "hdrig view --serve ends with $?"
 
+# a scene's file: its page is there as long as the command
+mkdir "$OUT/tmp"
+export TMPDIR=$OUT/tmp
+gone() { # what was shown
+    [ -z "$(ls "$OUT/tmp")" ] || fail "$1 leaves $(ls "$OUT/tmp")"
+}
+started() { # file that the command writes into
+    for _ in $(seq 300); do
+        [ -s "$1" ] && return
+        sleep 0.1
+    done
+    fail "nothing in $1: $(cat "$ERR")"
+}
+for kind in ply spz glb hdrig; do
+    succeed convert-scene "$OUT/walls" --out "$OUT/other.$kind"
+    rm -f "$OUT/opened" "$OUT/view.txt"
+    DISPLAY=:99 PATH=$(realpath "$OUT/bin"):$PATH "$HDRIG" view "$OUT/other.$kind" \
+        >"$OUT/view.txt" 2>"$ERR" &
+    server=$!
+    started "$OUT/opened"
+    started "$OUT/view.txt"
+    [ "$(cat "$OUT/opened")" = "$(cat "$OUT/view.txt")" ] || fail "the wrong page of .$kind"
+    grep -q "<title>other.$kind</title>" "$(cat "$OUT/opened")" || fail "no page of .$kind"
+    grep -q '"n":3008,' "$(cat "$OUT/opened")" || fail "the page of .$kind has other splats"
+    [ "$kind" = ply ] && kill -HUP $server || kill -INT $server
+    wait $server || fail "hdrig view FILE ends with $?"
+    gone "$kind"
+done
+rm -f "$OUT/view.txt"
+"$HDRIG" view "$OUT/other.hdrig" --serve >"$OUT/view.txt" 2>"$ERR" &
+server=$!
+started "$OUT/view.txt"
+open_page "$(cat "$OUT/view.txt")"
+is "viewer.info.n + document.title" 3008other.hdrig
+is "errors.join()" ""
+kill -INT $server
+wait $server || fail "hdrig view FILE --serve ends with $?"
+gone "--serve"
+expect 1 'no desktop here.: use --serve, or make a page with hdrig convert-scene' \
+    view "$OUT/other.spz"
+gone "no desktop"
+head -c 2000 "$OUT/other.ply" >"$OUT/cut.ply"
+head -c 2000 "$OUT/other.spz" >"$OUT/cut.spz"
+echo nonsense >"$OUT/cut.glb"
+mkfifo "$OUT/pipe.ply"
+for what in cut.ply cut.spz cut.glb pipe.ply bin/xdg-open; do
+    expect 1 "^hdrig view: .*$what" view "$OUT/$what"
+    gone "$what"
+done
+(ulimit -f 100 && "$HDRIG" view "$OUT/other.ply" 2>"$ERR") && fail "a page of 150 kB in 100"
+grep -q 'view.html.*File too large' "$ERR" || fail "no space: $(cat "$ERR")"
+gone "space"
+TMPDIR=$OUT/none/nowhere expect 1 'a folder in .*none/nowhere: No such file' view "$OUT/other.ply"
+unset TMPDIR
+
 # ---- speed ----
 
 "$BIN/make_view" "$OUT/many" walls 200000 || exit 1
+expect 3 'this job needs .* MB' view "$OUT/many/scene.hdrig" --max-memory 64
 open_page "$FILE/many/small.html"
 first=$(value "viewer.firstPicture()")
 value "redrawn()" >/dev/null
