@@ -52,7 +52,8 @@ struct shot {
     struct image8 image;
     double exposure; // linear exposure time x gain, > 0, any common unit; 0 = not known
     bool has_camera;
-    bool calibrated; // cam is that of a rig's calibration
+    bool calibrated;   // cam is that of a rig's calibration
+    bool metres;       // lengths of cam are metres; else the unit is any
     struct camera cam; // for image.w x image.h
     struct lens lens;  // PINHOLE: image is the photograph as taken; else it was undistorted from
                        // one of taken_w x taken_h px through this lens
@@ -191,6 +192,7 @@ struct scene {
     float *log2t;            // (n_views)
     struct camera *cams;     // (n_views) for size x size
     float *confidence;       // (g.n) 0..1, core/refine/confidence.h; NULL: not known
+    bool metres;             // scene units are metres; else any
 };
 
 /* Called between steps by the thread that runs the job; done <= total. */

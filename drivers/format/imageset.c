@@ -533,6 +533,7 @@ static err_t give_camera(const char *source, const struct rig *rig, const char *
     s->lens = v.lens;
     s->has_camera = true;
     s->calibrated = v.has_deviation;
+    s->metres = rig->metres;
     if (s->lens.model != LENS_PINHOLE)
         e = undistort_camera(s->name, &s->lens, s->taken_w, s->taken_h, &s->cam);
     s->image.w = s->cam.w;

@@ -150,6 +150,8 @@ static err_t put_header(FILE *f, const char *path, const struct scene *s,
     safetensors_put_word(&h, "names", names ? names : "");
     if (shapes)
         safetensors_put_word(&h, "shapes", shapes);
+    if (s->metres)
+        safetensors_put_word(&h, "unit", "m");
     for (int k = 0; k < N_TENSORS; k++) {
         if (k == T_CONFIDENCE && !s->confidence)
             continue;
@@ -443,6 +445,7 @@ static err_t get_views(const struct scenefile_bytes *f, const struct layout *l, 
         return e;
     s->n_views = l->info.n_views;
     s->size = l->info.size;
+    s->metres = strcmp(safetensors_word(&l->head, "unit"), "m") == 0;
     get_floats(l, T_LOG2T, 0, n, s->log2t);
     e = get_shapes(f, l, s);
     for (size_t i = 0; i < n && !e; i++) {

@@ -8,7 +8,7 @@
  *   confidence [N]   0..1 (core/refine/confidence.h); absent: not known
  * and in __metadata__: format "hdrig-scene", version "1", size (px, the longest edge of all views),
  * names (a JSON list of V names), shapes (a JSON list [w,h,w,h,...] of 2 V numbers; absent: all
- * views are size x size px).
+ * views are size x size px), unit ("m": lengths are metres; absent: any).
  *
  * The reader refuses everything that safetensors.h lists and
  *  1. another format or version;

@@ -127,6 +127,7 @@ static err_t take_views(const char *what, const struct rig *rig, struct arena *a
     if (e)
         return e;
     s->n_views = rig->n;
+    s->metres = rig->metres;
     for (int i = 0; i < rig->n; i++) {
         const struct rig_view *v = &rig->views[i];
         if (v->cam.w > s->size || v->cam.h > s->size)
@@ -326,7 +327,8 @@ static void put_scene(FILE *f, const struct scene *s)
     put_floats(f, "background", s->background, 3);
     fputs(",\n", f);
     put_tone(f, &s->tone);
-    fprintf(f, "  \"size\": %d,\n  \"cameras\": [\n", s->size);
+    fprintf(f, "  \"size\": %d,\n%s  \"cameras\": [\n", s->size,
+            s->metres ? "  \"unit\": \"m\",\n" : "");
     for (int i = 0; i < s->n_views; i++) {
         struct rig_view v = {.cam = s->cams[i], .has_exposure = true, .exposure_log2 = s->log2t[i]};
         memcpy(v.name, s->names[i], NAME_CAP);

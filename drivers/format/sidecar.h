@@ -2,7 +2,7 @@
  * splats cannot hold.
  *   {"format": "hdrig-sidecar", "version": 1, "ev": stops of display.h, "mid_exposure_log2": ...,
  *    "background": [r, g, b], "tone": [{"w1": [64], "b1": [64], "w2": [64], "b2": x}, ...],
- *    "size": px, "cameras": as in cameras.json, with exposures}
+ *    "size": px, "unit": as in cameras.json, "cameras": likewise, with exposures}
  * Numbers have nine digits: written and read back they are the same floats. "ev" is for other
  * programs, it follows from the tone curve. A NAME.json without that "format" belongs to another
  * program: it is neither read nor overwritten.

@@ -61,11 +61,13 @@ err_t start_scene(struct start *s)
     struct arena *keep = s->run->keep;
     struct scene *scene = &s->out->scene;
     const size_t n = (size_t)v->n;
-    *scene = (struct scene){.tone = s->out->response,
-                            .n_views = v->n,
-                            .size = v->size,
-                            .names = v->names,
-                            .log2t = v->log2t};
+    *scene =
+        (struct scene){.tone = s->out->response,
+                       .n_views = v->n,
+                       .size = v->size,
+                       .names = v->names,
+                       .log2t = v->log2t,
+                       .metres = recipe->cameras == RECIPE_GIVEN && s->capture->shots[0].metres};
     for (int c = 0; c < 3 && recipe->forward; c++)
         scene->background[c] = 1; // core/splat/README.md 3
     err_t e = layout_scene(scene, &s->shade, keep, recipe, v->n);

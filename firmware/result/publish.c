@@ -214,7 +214,9 @@ static void add_photograph(const struct job_result *j, struct rig_view *v)
 static err_t write_cameras(const struct job_result *j, const char *path)
 {
     const struct scene *s = &j->scene;
-    struct rig rig = {.n = s->n_views, .views = calloc((size_t)s->n_views, sizeof *rig.views)};
+    struct rig rig = {.n = s->n_views,
+                      .views = calloc((size_t)s->n_views, sizeof *rig.views),
+                      .metres = s->metres};
     if (!rig.views)
         return err_fail(ERR_NOMEM, "%s: no memory for %d cameras", path, s->n_views);
     for (int i = 0; i < s->n_views; i++) {

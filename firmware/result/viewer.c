@@ -187,7 +187,8 @@ static err_t put_info(const struct page *p, FILE *f)
     int guesses = 0;
     for (int i = 0; i < s->g.n; i++)
         guesses += pagesplats_is_drawn(&s->g, i) && pagesplats_is_guess(s, i);
-    fprintf(f, "\"guesses\":%d,\"first\":%d,", guesses, best_view(p));
+    fprintf(f, "\"guesses\":%d,\"first\":%d,\"metres\":%s,", guesses, best_view(p),
+            s->metres ? "true" : "false");
     put_floats(f, "background", s->background, 3);
     fputc(',', f);
     put_floats(f, "tone", s->tone.p, TONE_PARAMS);

@@ -95,6 +95,7 @@ function drawHistogram(sorted, lo, hi) {
 /* Called after each picture; works when there was none for a while. */
 function showLight() {
   const key = pinKey();
+  layRuler();
   for (const mark of document.querySelectorAll(".pin")) mark.hidden = mark.dataset.key !== key;
   clearTimeout(light.timer);
   if (!byId("panel").hidden) light.timer = setTimeout(measure, 80);
@@ -145,9 +146,9 @@ async function pin(at) {
   addNote(`${light.pins}  ${inWords(exact(...pixel))}  ${viewName()} at ${pixel.join()}`);
 }
 
-function pinHere() { // under the pointer, else in the middle
+function here() { // under the pointer, else in the middle
   const box = canvas.getBoundingClientRect();
-  pin(state.probe || [box.left + box.width / 2, box.top + box.height / 2]);
+  return state.probe || [box.left + box.width / 2, box.top + box.height / 2];
 }
 
 function clearNotes() {
@@ -155,11 +156,47 @@ function clearNotes() {
   byId("noted").hidden = true;
   light.pins = 0;
   for (const mark of document.querySelectorAll(".pin")) mark.remove();
+  ruler.length = 0;
+  layRuler();
 }
 
 function copyNotes() { // without a permission, and from pages that are not https
   byId("notes").select();
   document.execCommand("copy");
+}
+
+/* ---- lengths ---- */
+
+const ruler = []; // its ends in the scene, as far as they are chosen
+const inLength = (v) => `${digits(v)} ${info.metres ? "m" : "scene units"}`;
+
+/* By a point of the window: an end, after two the first one of another. */
+async function measureTo(at) {
+  await settled();
+  const seen = seenAt(...at), { R } = state.cam;
+  if (!seen) return;
+  if (ruler.length > 1) ruler.length = 0;
+  ruler.push(centreOf(state.cam).map((c, k) =>
+    c + seen[0] * R[k] + seen[1] * R[3 + k] + seen[2] * R[6 + k]));
+  layRuler();
+  if (ruler.length > 1) addNote(`length ${byId("length").textContent}`);
+}
+
+/* A line between the ends, or a dot, and the distance. */
+function layRuler() {
+  const { R, t } = state.cam, v = fit(state.cam, canvas.clientWidth, canvas.clientHeight);
+  const ends = ruler.map((m) => {
+    const [x, y, z] = [0, 1, 2].map((k) => dot(row(R, k), m) + t[k]);
+    return z > 0 ? [v.fx * x / z + v.cx, v.fy * y / z + v.cy] : [];
+  });
+  const [a, b = a] = ends, shown = a && a.length && b.length;
+  byId("ruler").toggleAttribute("hidden", !shown);
+  if (!shown) return;
+  byId("ruler").firstElementChild.setAttribute("d", `M${a}L${b}`);
+  byId("length").setAttribute("x", (a[0] + b[0]) / 2);
+  byId("length").setAttribute("y", (a[1] + b[1]) / 2 - 8);
+  byId("length").textContent = ruler[1] ?
+    inLength(Math.hypot(...ruler[0].map((c, k) => c - ruler[1][k]))) : "";
 }
 
 /* ---- regions ---- */
@@ -204,7 +241,9 @@ function openRegions() {
     });
   canvas.addEventListener("click", (e) => {
     const way = Math.hypot(e.clientX - down[0], e.clientY - down[1]);
-    if (armed("pin") && !e.altKey && way < 6) pin(at(e));
+    if (e.altKey || way >= 6) return;
+    if (armed("pin")) pin(at(e));
+    if (armed("measure")) measureTo(at(e));
   });
 }
 
@@ -315,12 +354,13 @@ const armed = (id) => byId(id).ariaPressed === "true";
 
 function arm(which) { // what clicks and drags do: one at a time
   const on = !armed(which);
-  for (const id of ["pin", "region"]) byId(id).ariaPressed = on && id === which;
+  for (const id of ["pin", "measure", "region"]) byId(id).ariaPressed = on && id === which;
 }
 
 function openLightTools() {
   const actions = { light: () => openLight(byId("panel").hidden),
-    clip: () => showClipping(!state.clip), pin: () => arm("pin"), region: () => arm("region"),
+    clip: () => showClipping(!state.clip), pin: () => arm("pin"),
+    measure: () => arm("measure"), region: () => arm("region"),
     copy: copyNotes, clear: clearNotes, exr: saveExr };
   for (const [id, action] of Object.entries(actions)) byId(id).addEventListener("click", action);
   for (const id of ["middle", "width"])

@@ -160,20 +160,24 @@ function throwPicture(vx, vy, sideways) { // pixels in a millisecond
   });
 }
 
+/* What is seen at a point of the window: to the right, down and ahead of the camera; null:
+ * nothing. */
+function seenAt(x, y) {
+  if (stale) draw();
+  const pixel = pixelAt([x, y]), v = fit(state.cam, gpu.pw, gpu.ph), z = pixel && depthAt(...pixel);
+  if (!z) note("nothing is there");
+  return z ? [(pixel[0] + 0.5 - v.cx) / v.fx * z, (pixel[1] + 0.5 - v.cy) / v.fy * z, z] : null;
+}
+
 /* Turn to the surface that is seen there, and around it from now on. */
 function focusAt(x, y) {
-  const box = canvas.getBoundingClientRect();
-  if (stale) draw();
-  const px = Math.floor((x - box.left) / box.width * gpu.pw);
-  const py = Math.floor((y - box.top) / box.height * gpu.ph);
-  const cam = { ...state.cam }, v = fit(cam, gpu.pw, gpu.ph), z = depthAt(px, py);
-  if (!z) return note("nothing is there");
-  const ray = [(px + 0.5 - v.cx) / v.fx, (py + 0.5 - v.cy) / v.fy, 1], far = Math.hypot(...ray);
-  const side = Math.hypot(ray[0], ray[1]) || 1, at = centreOf(cam);
-  const axis = [0, 1, 2].map((k) => (ray[0] * cam.R[3 + k] - ray[1] * cam.R[k]) / side);
-  cam.R = turned(cam.R, axis, Math.atan2(Math.hypot(ray[0], ray[1]), 1));
+  const cam = { ...state.cam }, to = seenAt(x, y), at = centreOf(cam);
+  if (!to) return;
+  const side = Math.hypot(to[0], to[1]);
+  const axis = [0, 1, 2].map((k) => (to[0] * cam.R[3 + k] - to[1] * cam.R[k]) / (side || 1));
+  cam.R = turned(cam.R, axis, Math.atan2(side, to[2]));
   place(cam, at);
-  glide(cam, z * far, 0.5);
+  glide(cam, Math.hypot(...to), 0.5);
 }
 
 const FLY = { w: [0, 0, 1], s: [0, 0, -1], a: [-1, 0, 0], d: [1, 0, 0],

@@ -179,7 +179,8 @@ const keys = {
   ",": () => go(state.last - 1), ".": () => go(state.last + 1), 0: () => go(state.last),
   1: () => setTone(0), 2: () => setTone(1), 3: () => setTone(2), 4: () => setTone(3),
   c: () => compare(!state.wipe), g: () => hideGuesses(!state.proven),
-  l: () => byId("light").click(), k: () => showClipping(!state.clip), n: pinHere,
+  l: () => byId("light").click(), k: () => showClipping(!state.clip), n: () => pin(here()),
+  m: () => measureTo(here()),
   r: () => byId("region").click(),
   "?": () => byId("guide").showModal(),
 };

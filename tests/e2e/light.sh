@@ -12,6 +12,7 @@ begin_page() { # address: at the first camera, with what is outside the photogra
 }
 "$BIN/make_view" "$OUT/walls" walls 3000 || exit 1
 "$BIN/make_view" "$OUT/thin" thin 1 || exit 1
+"$BIN/make_view" "$OUT/pair" pair 0 || exit 1
 FILE=file://$(realpath "$OUT")
 
 read -r -d '' MORE <<'END'
@@ -179,6 +180,50 @@ is "document.getElementById('marquee').hidden" true
 value "document.getElementById('clear').click()" >/dev/null
 quiet "readouts"
 
+# ---- lengths ----
+
+succeed convert-scene "$OUT/pair" --out "$OUT/pair.ply"
+succeed convert-scene "$OUT/pair.ply" --out "$OUT/pair.html"
+begin_page "$FILE/pair.html" # metres come along
+value "window.where = (m) => { const c = state.cam, box = canvas.getBoundingClientRect(),
+    v = fit(c, box.width, box.height),
+    [x, y, z] = [0, 1, 2].map((k) => dot(row(c.R, k), m) + c.t[k]);
+    return [box.x + v.fx * x / z + v.cx, box.y + v.fy * y / z + v.cy].map(Math.round); },
+    window.ends = () => document.querySelector('#ruler path').getAttribute('d').match(/[0-9.]+/g)
+    .map(Number).map((v, k) => v + canvas.getBoundingClientRect()[k % 2 ? 'y' : 'x'])" >/dev/null
+value "document.getElementById('light').click(), document.getElementById('measure').click()" \
+    >/dev/null
+read -r x y x2 y2 <<<"$(value "[...where(sample[0]), ...where(sample[1])].join(' ')")"
+click "$x" "$y"
+wait_for "ruler.length" 1
+is "document.getElementById('length').textContent" ""
+click "$x2" "$y2"
+wait_for "notes()[0].slice(0, 7)" "length "
+is "/ m$/.test(notes()[0]) && near(notes()[0].split(' ')[1], 1.2, 0.015)" true # pixels are 9 mm
+is "'length ' + document.getElementById('length').textContent === notes()[0]" true
+is "ends().every((v, k) => near(v, [$x, $y, $x2, $y2][k], 2))" true
+value "viewer.go(1), viewer.settled()" >/dev/null # it stays where it is in the scene
+wait_for "ends().every((v, k) => near(v, [...where(sample[0]), ...where(sample[1])][k], 2))" true
+is "near(ends()[0], $x, 10)" false
+is "viewer.setCamera({ ...state.cam, R: turned(state.cam.R, [0, 1, 0], 3) }) ||
+    viewer.settled().then(() => document.getElementById('ruler').hasAttribute('hidden'))" true
+value "viewer.go(1), viewer.settled()" >/dev/null
+mouse mouseMoved "$(value "where(sample[0])[0]")" "$(value "where(sample[0])[1]")" 0 "" none
+press m # another one begins
+wait_for "ruler.length" 1
+mouse mouseMoved 30 200 0 "" none
+press m
+wait_for "document.getElementById('hint').textContent" "nothing is there"
+is "ruler.length" 1
+value "document.getElementById('clear').click()" >/dev/null
+is "ruler.length + String(document.getElementById('ruler').hasAttribute('hidden'))" 0true
+quiet "lengths"
+begin_page "$FILE/walls/view.html"
+value "window.at2 = [[250, 180], [330, 200]], measureTo(at2[0])" >/dev/null
+value "measureTo(at2[1])" >/dev/null
+is "notes()[0].replace(/[0-9.]+/, 'x')" "length x scene units"
+value "document.getElementById('clear').click()" >/dev/null
+
 # ---- colours ----
 
 value "small()" >/dev/null
@@ -262,6 +307,13 @@ wait_for "notes()[0].startsWith('1  ')" true
 value "document.getElementById('region').click()" >/dev/null
 swipe 100 130 140 170
 wait_for "notes().length" 3
+value "document.getElementById('measure').click()" >/dev/null
+for x in 140 200; do
+    touch touchStart "{\"x\":$x,\"y\":150,\"id\":1}"
+    touch touchEnd ''
+    wait_for "ruler.length > 0" true
+done
+wait_for "notes()[3].slice(0, 7)" "length "
 is "viewer.state.at" 0
 screenshot "$OUT/telephone_tools.png"
 value "document.getElementById('light').click(), document.getElementById('help').click()" >/dev/null

@@ -7,6 +7,7 @@
  *   scale S    `walls` in another unit of length
  *   aside 0    `walls` that the last camera looks at, through a longer lens, and no other
  *   one 0      a single splat
+ *   pair 0     two opaque splats 1.2 m apart
  *   dark 0     nothing that can be seen
  *   near 0     a splat on each camera, others just before it
  *   shapes 0   needles, points, plates, what reaches in from the side, quaternions of any length
@@ -106,6 +107,12 @@ static void put_kind(struct scene *s, const char *kind, double number)
         put_splat(g, 3, 0.3);
         g->plane[G_MU][0] = g->plane[G_MU + 1][0] = 0;
         g->plane[G_LOGIT][0] = strcmp(kind, "one") == 0 ? 3 : -20;
+    }
+    for (int i = 0; i < 2 && strcmp(kind, "pair") == 0; i++) {
+        put_splat(g, 6, 0.5);
+        g->plane[G_MU][i] = i ? -0.1f : -0.7f;
+        g->plane[G_MU + 1][i] = i ? 0.1f : 0;
+        g->plane[G_MU + 2][i] = i ? 4.03441f : 3;
     }
     if (strcmp(kind, "shapes") == 0)
         put_shapes(g);
@@ -229,6 +236,7 @@ int main(int argc, char **argv)
         for (int i = 0; i < THIN; i++)
             confidence[i] = i % 2 ? 0.1f : 0.9f;
         s.confidence = strcmp(kind, "half") == 0 ? confidence : NULL;
+        s.metres = strcmp(kind, "pair") == 0;
         put_scene(&s, strcmp(kind, "scale") == 0 ? number : 1);
         for (int i = 0; i < VIEWS && strcmp(kind, "aside") == 0; i++)
             look_aside(&cams[i], i == VIEWS - 1);

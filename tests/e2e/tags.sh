@@ -127,6 +127,13 @@ compare found twice 0.01 1.01 || fail "tags of twice the size do not make the ri
 # a scene of a rig in metres
 succeed reconstruct --images "$OUT/in1" --rig "$OUT/found.json" --refine 0 --model none \
     --out "$OUT/scene"
+for file in cameras.json scene.json; do
+    grep -q '"unit": "m"' "$OUT/scene/$file" || fail "$file does not tell metres"
+done
+grep -q '"metres":true' "$OUT/scene/view.html" || fail "the page does not tell metres"
+succeed reconstruct --images "$OUT/in1" --rig "$OUT/free.json" --refine 0 --model none \
+    --out "$OUT/any"
+grep -q '"metres":false' "$OUT/any/view.html" || fail "metres of a rig without scale"
 
 # cameras that look away from each other
 ring 3 50 0.15 >"$OUT/out.json"

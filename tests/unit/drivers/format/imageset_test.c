@@ -405,6 +405,7 @@ static void rigs_come_from_three_places(void **state)
     assert_int_equal(imageset_list(&rq, &set), OK);
     assert_true(set.capture.shots[0].has_camera &&
                 set.capture.shots[0].cam.fx == 5); // scaled to the picture
+    assert_false(set.capture.shots[0].metres);
     imageset_free(&set);
     rq.rig = "tests/data/sets/colmap_bin";
     assert_int_equal(list(&rq), ERR_FORMAT);

@@ -84,6 +84,7 @@ static void what_is_written_is_read_bit_for_bit(void **state)
     for (int degree = 0; degree <= SH_DEGREE_MAX; degree++) {
         for (int n = 0; n < 40; n += 13) {
             struct scene in = make(n, degree, n % 8), out;
+            in.metres = degree == 2;
             struct scenefile_info info;
             struct arena exact;
             assert_int_equal(scenefile_write(path, &in), OK);
@@ -94,6 +95,7 @@ static void what_is_written_is_read_bit_for_bit(void **state)
             assert_int_equal(scenefile_read(path, &exact, &out), OK);
             assert_true(exact.used == info.need);
             check_same(&in, &out);
+            assert_true(in.metres == out.metres);
             arena_free(&exact);
         }
     }

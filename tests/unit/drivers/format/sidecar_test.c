@@ -57,14 +57,18 @@ static void what_is_written_is_read_bit_for_bit(void **state)
     assert_int_equal(sidecar_write(tmpdir_path("scene.ply"), &s), OK);
     assert_true(file_is_regular(tmpdir_path("scene.json")));
     read_scene(tmpdir_path("scene.spz"), 0, &back);
-    assert_true(back.g.n == 77 && back.size == SIZE && back.n_views == VIEWS);
+    assert_true(back.g.n == 77 && back.size == SIZE && back.n_views == VIEWS && !back.metres);
     assert_memory_equal(&back.tone, &s.tone, sizeof s.tone);
     assert_memory_equal(back.background, s.background, sizeof s.background);
     assert_memory_equal(back.log2t, log2t, sizeof log2t);
     assert_memory_equal(back.cams, cams, sizeof cams);
     for (int i = 0; i < VIEWS; i++)
         assert_string_equal(back.names[i], names[i]);
-    s.n_views = 0; // and over what is there
+    s.metres = true; // and over what is there
+    assert_int_equal(sidecar_write(tmpdir_path("scene.ply"), &s), OK);
+    read_scene(tmpdir_path("scene.ply"), 0, &back);
+    assert_true(back.metres && back.n_views == VIEWS);
+    s.n_views = 0;
     assert_int_equal(sidecar_write(tmpdir_path("scene.glb"), &s), OK);
     read_scene(tmpdir_path("scene.ply"), 0, &back);
     assert_true(back.n_views == 0 && back.size == SIZE);

@@ -542,6 +542,7 @@ static void what_stands_around_it(void **state)
     assert_int_equal(json_count(marks), VIEWS + 1);
     assert_true(json_number(json_first(marks), &stops) && stops == -1);
     assert_true(number("middle") == -3);
+    assert_non_null(strstr(page, ",\"metres\":false,"));
     assert_string_equal(json_string(json_member(info, "report")), "report.html");
     /* the promise of the issue, and that of viewer_bytes */
     assert_true(page_bytes - info_chars - blob_chars < FRAME_MAX);
@@ -549,7 +550,9 @@ static void what_stands_around_it(void **state)
     assert_true(page_bytes <= viewer_bytes(&input));
     input.photos = NULL;
     input.report = NULL;
+    scene.metres = true;
     make_page();
+    assert_non_null(strstr(page, ",\"metres\":true,"));
     assert_int_equal(json_count(json_member(info, "taken")), VIEWS);
     assert_null(json_member(json_first(json_member(info, "views")), "photos"));
     assert_true(page_bytes <= viewer_bytes(&input));
