@@ -67,7 +67,7 @@ err_t publish_check(const struct capture *c, const struct job_config *cfg, struc
     const struct scene most = {.g = {.n = recipe.gaussians_max, .degree = recipe.degree_max},
                                .n_views = recipe.places,
                                .size = cfg->size};
-    const struct views photos = {.n = c->n}; // only their number counts
+    const struct views photos = {.n = recipe.places, .n_more = c->n - recipe.places};
     const struct viewer_input viewer = {
         .scene = &most, .photos = &photos, .title = file_name(o->path)};
     err_t e = check_names(c);

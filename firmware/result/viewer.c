@@ -306,18 +306,26 @@ static err_t put_page(const struct page *p)
     return e;
 }
 
+/* As if they could not be compressed. */
+static uint64_t photo_bytes(const struct views *v, int size)
+{
+    const uint64_t places = (uint64_t)v->n, all = places + (uint64_t)v->n_more,
+                   square = (uint64_t)size * (uint64_t)size;
+    uint64_t most = square * places; // one of each place
+    if (most < VIEWER_PHOTO_PIXELS)
+        most = VIEWER_PHOTO_PIXELS;
+    return 3 * (all * square < most ? all * square : most) + all * (4096 + 64);
+}
+
 uint64_t viewer_bytes(const struct viewer_input *in)
 {
     const struct scene *s = in->scene;
     uint64_t splat =
         PAGESPLATS_BYTES + (uint64_t)pagesplats_sh_bytes(page_degree(s->g.n, s->g.degree));
-    uint64_t photos = in->photos ? (uint64_t)in->photos->n + (uint64_t)in->photos->n_more : 0;
-    uint64_t bytes =
-        (uint64_t)s->g.n * splat + photos * (3 * (uint64_t)s->size * (uint64_t)s->size + 4096);
+    uint64_t bytes = (uint64_t)s->g.n * splat + (in->photos ? photo_bytes(in->photos, s->size) : 0);
     return viewer_html_size + viewer_css_size + viewer_unpack_size + viewer_splats_size +
            viewer_light_size + viewer_tools_size + viewer_js_size + INFO_BYTES +
-           (uint64_t)s->n_views * VIEW_BYTES + 64 * photos + 12 * strlen(in->title) +
-           bytes / 3 * 4 + 64;
+           (uint64_t)s->n_views * VIEW_BYTES + 12 * strlen(in->title) + bytes / 3 * 4 + 64;
 }
 
 /* JSON has no other numbers. */
