@@ -402,6 +402,13 @@ static bool is_point(const struct ghost *g, int x, int y)
     return most * most > 36 * own && most * most > 4 * others;
 }
 
+static int halve_points(const struct ghost *g)
+{
+    for (int i = 0; 2 * i < POINTS; i++)
+        g->point[i] = g->point[2 * i];
+    return POINTS / 2;
+}
+
 /* Pixels with structure; of more than there is room for, every second one is dropped. Returns their
  * number. */
 static int choose_points(const struct ghost *g)
@@ -415,9 +422,8 @@ static int choose_points(const struct ghost *g)
             if (!is_point(g, x, y) || seen++ % stride != 0)
                 continue;
             if (n == POINTS) {
-                for (n = 0; 2 * n < POINTS; n++)
-                    g->point[n] = g->point[2 * n];
                 stride *= 2;
+                n = halve_points(g);
             }
             g->point[n++] = y * l->w + x;
         }

@@ -8,26 +8,7 @@
 #include "core/base/arena.h"
 #include "core/photo/merge.h"
 
-#include <math.h>
-
 enum { GHOST_SHIFT_MAX = 8 }; // px (of a mosaic: cells of 2 x 2) along each axis
-
-/* Where a frame differs from the reference, in square cells of the reference's picture; those at
- * the right and at the bottom may be cut. */
-struct ghost_mask {
-    int cell, cols, rows; // px; of cells
-    uint8_t *moved;       // (rows, cols) 1: differs
-    double share;         // of the cells
-    float shift[2];       // px, right and down, of the frame to the reference
-};
-
-/* Whether the frame's pixel x, y shows something else than the reference. */
-static inline bool ghost_at(const struct ghost_mask *m, int x, int y)
-{
-    const int u = (x - (int)lrintf(m->shift[0])) / m->cell;
-    const int v = (y - (int)lrintf(m->shift[1])) / m->cell;
-    return u >= 0 && v >= 0 && u < m->cols && v < m->rows && m->moved[v * m->cols + u];
-}
 
 /* The frame that says most: the fewest pixels are clipped or lost in noise. */
 int ghost_reference(const struct merge_set *s);

@@ -13,7 +13,8 @@
 
 struct merge {
     const struct raw *frames;
-    int n, clip, shortest;
+    const struct ghost_mask *moved; // as in struct merge_set
+    int n, clip;
     float exposure[MERGE_FRAMES_MAX], gain[3]; // radiance of one count in 1 s
     float table[3][256];                       // counts of a display value
     struct image *out;
@@ -28,17 +29,14 @@ static void merge_init(const struct merge_set *s, struct merge *m)
     m->frames = frames;
     m->n = s->n;
     m->clip = raw_clip(frames);
-    m->shortest = 0;
     m->gain[0] = m->gain[1] = m->gain[2] = unit;
     if (frames->cfa != RAW_MONO) {
         m->gain[0] *= s->how->red;
         m->gain[2] *= s->how->blue;
     }
-    for (int i = 0; i < s->n; i++) {
+    m->moved = s->moved;
+    for (int i = 0; i < s->n; i++)
         m->exposure[i] = (float)s->exposure_s[i];
-        if (m->exposure[i] < m->exposure[m->shortest])
-            m->shortest = i;
-    }
     if (frames->linear)
         return;
     if (!crf) {
@@ -50,38 +48,64 @@ static void merge_init(const struct merge_set *s, struct merge *m)
             m->table[c][i] = exp2f(crf->log2x[c][i]);
 }
 
-/* Counts per second of a site of linear numbers. */
-static inline float merge_site(const struct merge *m, size_t at)
+/* Whether frame i counts at a pixel. */
+static inline bool counts_at(const struct merge *m, int i, int x, int y)
+{
+    return !m->moved || !m->moved[i].moved || !ghost_mask_at(&m->moved[i], x, y);
+}
+
+/* Of the frames that count there. */
+static int shortest_at(const struct merge *m, int x, int y)
+{
+    int best = -1;
+    for (int i = 0; i < m->n; i++)
+        if (counts_at(m, i, x, y) && (best < 0 || m->exposure[i] < m->exposure[best]))
+            best = i;
+    return best < 0 ? 0 : best;
+}
+
+/* Counts per second of a site of linear numbers, which is number `at` and of the pixel x, y. */
+static inline float merge_site(const struct merge *m, size_t at, int x, int y)
 {
     int black = m->frames->black, sum = 0;
     float t = 0.0f;
     for (int i = 0; i < m->n; i++) {
         int code = m->frames[i].px[at];
-        sum += code < m->clip ? code - black : 0;
-        t += code < m->clip ? m->exposure[i] : 0.0f;
+        bool good = code < m->clip && counts_at(m, i, x, y);
+        sum += good ? code - black : 0;
+        t += good ? m->exposure[i] : 0.0f;
     }
     if (t > 0.0f)
         return (float)sum / t;
-    return (float)(m->frames[m->shortest].px[at] - black) / m->exposure[m->shortest];
+    const int shortest = shortest_at(m, x, y);
+    return (float)(m->frames[shortest].px[at] - black) / m->exposure[shortest];
 }
 
-/* Counts per second of a pixel of n display values. */
-static void merge_pixel(const struct merge *m, size_t at, int n, float x[3])
+/* Add the counts of n display values of frame i. */
+static float add_display(const struct merge *m, int i, size_t at, int n, float sum[3])
 {
-    float t = 0.0f;
-    x[0] = x[1] = x[2] = 0.0f;
-    for (int i = 0; i <= m->n; i++) {
-        bool last = i == m->n; // all frames clip it
-        const uint16_t *p = m->frames[last ? m->shortest : i].px + at;
-        bool clipped = p[0] >= m->clip || (n == 3 && (p[1] >= m->clip || p[2] >= m->clip));
-        if (last ? t > 0.0f : clipped)
-            continue;
-        for (int c = 0; c < n; c++)
-            x[c] += m->table[n == 3 ? c : 1][p[c] & 255];
-        t += m->exposure[last ? m->shortest : i];
-    }
+    const uint16_t *p = m->frames[i].px + at;
     for (int c = 0; c < n; c++)
-        x[c] /= t;
+        sum[c] += m->table[n == 3 ? c : 1][p[c] & 255];
+    return m->exposure[i];
+}
+
+/* Counts per second of the pixel x, y of n display values. */
+static void merge_pixel(const struct merge *m, int x, int y, int n, float out[3])
+{
+    const size_t at = ((size_t)y * (size_t)m->frames->w + (size_t)x) * (size_t)n;
+    float t = 0.0f;
+    out[0] = out[1] = out[2] = 0.0f;
+    for (int i = 0; i < m->n; i++) {
+        const uint16_t *p = m->frames[i].px + at;
+        bool clipped = p[0] >= m->clip || (n == 3 && (p[1] >= m->clip || p[2] >= m->clip));
+        if (!clipped && counts_at(m, i, x, y))
+            t += add_display(m, i, at, n, out);
+    }
+    if (!(t > 0.0f)) // all frames clip it
+        t = add_display(m, shortest_at(m, x, y), at, n, out);
+    for (int c = 0; c < n; c++)
+        out[c] /= t;
 }
 
 static void store_pixel(const struct merge *m, size_t at, const float x[3])
@@ -101,7 +125,7 @@ static void read_sites(const void *ctx, int y, int x, int n, float *v)
     for (int k = 0; k < 2; k++)
         gain[k] = m->gain[raw_colour(m->frames->cfa, y, x + k)];
     for (int i = 0; i < n; i++)
-        v[i] = merge_site(m, at + (size_t)i) * gain[i & 1];
+        v[i] = merge_site(m, at + (size_t)i, x + i, y) * gain[i & 1];
 }
 
 static void write_pixels(const void *ctx, int y, int x, int n, float *const rgb[3])
@@ -120,16 +144,17 @@ static void write_pixels(const void *ctx, int y, int x, int n, float *const rgb[
 static void run_row(const struct merge *m, int y)
 {
     const struct raw *f = m->frames;
-    bool mono = f->cfa == RAW_MONO;
-    for (size_t i = (size_t)y * (size_t)f->w, end = i + (size_t)f->w; i < end; i++) {
-        float x[3];
+    const int n = f->cfa == RAW_MONO ? 1 : 3;
+    for (int x = 0; x < f->w; x++) {
+        const size_t i = (size_t)y * (size_t)f->w + (size_t)x;
+        float v[3];
         if (!f->linear)
-            merge_pixel(m, mono ? i : 3 * i, mono ? 1 : 3, x);
-        for (size_t c = 0; f->linear && c < (mono ? 1 : 3); c++)
-            x[c] = merge_site(m, mono ? i : 3 * i + c);
-        if (mono)
-            x[1] = x[2] = x[0];
-        store_pixel(m, i, x);
+            merge_pixel(m, x, y, n, v);
+        for (int c = 0; f->linear && c < n; c++)
+            v[c] = merge_site(m, (size_t)n * i + (size_t)c, x, y);
+        if (n == 1)
+            v[1] = v[2] = v[0];
+        store_pixel(m, i, v);
     }
 }
 

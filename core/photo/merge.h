@@ -9,6 +9,7 @@
 #include "core/base/types.h"
 #include "core/photo/crf.h"
 #include "core/photo/develop.h"
+#include "core/photo/ghost_mask.h"
 
 /* Frames of one size and kind. */
 struct merge_set {
@@ -17,6 +18,8 @@ struct merge_set {
     const double *exposure_s; // (n) time x gain, > 0
     const struct crf *crf;    // response of display values; NULL: sRGB
     const struct develop *how;
+    const struct ghost_mask *moved; // (n) pixels of frames that do not count; one without `moved`
+                                    // counts everywhere; NULL: all do
 };
 
 enum { MERGE_FRAMES_MAX = 9 };

@@ -130,6 +130,8 @@ static const struct key keys[] = {
      "least signal-to-noise ratio of covered radiance, dB", WHOLE, NULL, 0},
     {"bracket.skew_ms", FIELD(bracket_skew_ms), 0, 10000, 1, 0,
      "longest time between the cameras' exposures, ms; 0 = any", WHOLE, NULL, 0},
+    {"bracket.moved", FIELD(bracket_moved), 0, 100, 1, 5,
+     "percent of a picture that may move before it should be retaken; 0 = any", WHOLE, NULL, 0},
     {"store.path", FIELD(store_path), 0, 0, 1, 0, "folder of the captures", TEXT,
      "/var/lib/hdrig/captures", 0},
     {"store.reserve_mb", FIELD(store_reserve_mb), 0, 1048576, 1, 500, "space that stays free, MB",

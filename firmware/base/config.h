@@ -62,7 +62,7 @@ struct config {
     char lamp[CONFIG_TEXT];
     int bracket_mode; // enum config_bracket
     char bracket_ev[CONFIG_TEXT];
-    int bracket_middle_us, bracket_stagger, bracket_snr_db, bracket_skew_ms;
+    int bracket_middle_us, bracket_stagger, bracket_snr_db, bracket_skew_ms, bracket_moved;
     /* the daemon */
     char store_path[CONFIG_TEXT], calibration_path[CONFIG_TEXT], results_path[CONFIG_TEXT];
     int store_reserve_mb, store_keep, store_merge;

@@ -63,7 +63,9 @@ bool take_unverified(const struct take *t)
 
 void take_free(struct take *t)
 {
-    for (int i = 0; t && i < TAKE_FRAMES_MAX; i++)
+    for (int i = 0; t && i < TAKE_FRAMES_MAX; i++) {
         free(t->frame[i].data);
+        free(t->frame[i].ghost.moved);
+    }
     free(t);
 }

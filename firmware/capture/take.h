@@ -7,6 +7,7 @@
 #include "firmware/capture/bracket.h"
 
 #include "core/photo/develop.h"
+#include "core/photo/ghost_mask.h"
 #include "core/photo/meter.h"
 
 enum {
@@ -28,6 +29,8 @@ struct take_frame {
     double digital_gain, red_gain, blue_gain;
     bool lens_known;
     double lens;
+    bool compared;           // with the other exposures of its bracket (firmware/store/ghosts.h):
+    struct ghost_mask ghost; // where it differs; its `moved` is NULL where nothing does
 };
 
 struct take_camera {

@@ -127,7 +127,7 @@ static err_t outlet_open(const char *dir, const struct config *cfg, struct outle
     snprintf(name, sizeof name, ".hdrig-%d", (int)getpid());
     err_t e = file_join(parent, name, o->path);
     struct store_config c = {o->path, (uint64_t)cfg->store_reserve_mb * 1000000, cfg->store_merge,
-                             0};
+                             cfg->bracket_moved / 100.0, 0};
     return e ? e : store_open(&c, &o->store);
 }
 
@@ -141,7 +141,7 @@ static err_t outlet_room(const struct outlet *out, const struct session *s,
     return store_room(out->store, need);
 }
 
-static err_t outlet_commit(const struct outlet *o, const struct take *t, const char *dir)
+static err_t outlet_commit(const struct outlet *o, struct take *t, const char *dir)
 {
     char from[FILE_PATH_CAP], id[STORE_ID_CAP];
     err_t e = store_commit(o->store, t, id);

@@ -613,7 +613,8 @@ static err_t open_store(struct daemon *d)
 {
     char ids[DAEMON_RECENT][STORE_ID_CAP];
     struct store_config s = {d->set->store_path, (uint64_t)d->set->store_reserve_mb * 1000000,
-                             d->set->store_merge != 0, d->set->store_keep};
+                             d->set->store_merge != 0, d->set->bracket_moved / 100.0,
+                             d->set->store_keep};
     err_t e = store_open(&s, &d->store);
     if (!e)
         e = writer_open(d->store, &d->writer);

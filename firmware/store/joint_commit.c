@@ -40,7 +40,7 @@ struct work {
         char picture[MANIFEST_NAME_CAP];
     } frame[MANIFEST_FRAMES_MAX];
     int n, n_cameras;
-    bool is_merged, is_balanced, differs;
+    bool is_merged, is_masked, is_balanced, differs;
     int64_t first_ns[EXPOSURES], last_ns[EXPOSURES]; // starts on the common clock
     int starts[EXPOSURES];
     struct text rig, cameras, frames;
@@ -179,6 +179,7 @@ static err_t add_files(struct work *w, int member, const char *dir)
         *to = m->file[i];
         part_rename(from->name, w->n_cameras, to->name);
         w->is_merged = w->is_merged || strncmp(to->name, "merged/", 7) == 0;
+        w->is_masked = w->is_masked || strncmp(to->name, "masks/", 6) == 0;
         e = file_join(dir, from->name, path);
         if (!e)
             e = sync_staged(w, path);
@@ -283,7 +284,8 @@ static err_t each_folder(const struct work *w, err_t (*act)(const struct store_f
     char path[FILE_PATH_CAP];
     err_t e = OK;
     for (int i = 1; i < STORE_FOLDERS && !e; i++) {
-        if (strcmp(store_folders[i], "merged") == 0 && !w->is_merged)
+        if ((strcmp(store_folders[i], "merged") == 0 && !w->is_merged) ||
+            (strcmp(store_folders[i], "masks") == 0 && !w->is_masked))
             continue;
         e = file_join(w->to.tmp, store_folders[i], path);
         if (!e)

@@ -38,6 +38,11 @@ void manifest_picture_name(const struct take *t, const struct take_frame *f,
              manifest_is_jpeg(t, f) ? "jpg" : "png");
 }
 
+void manifest_mask_name(const struct take_frame *f, char out[MANIFEST_NAME_CAP])
+{
+    snprintf(out, MANIFEST_NAME_CAP, "masks/train_%02d_%02d.png", f->camera, f->index);
+}
+
 const char *manifest_proof(enum bracket_proof p)
 {
     static const char *const words[] = {"reported", "pixels", "unverified-flicker",
@@ -230,6 +235,9 @@ static void put_frame(FILE *f, const struct take *t, int i)
     put_number(f, "red_gain", x->gains_known ? x->red_gain : NAN);
     put_number(f, "blue_gain", x->gains_known ? x->blue_gain : NAN);
     put_number(f, "lens", x->lens_known ? x->lens : NAN);
+    put_number(f, "moved", x->compared ? x->ghost.share : NAN);
+    put_number(f, "shift_x_px", x->compared ? (double)x->ghost.shift[0] : NAN);
+    put_number(f, "shift_y_px", x->compared ? (double)x->ghost.shift[1] : NAN);
     if (t->rig.take[0]) {
         put_ns(f, "common_ns", x->common_ns);
         put_ns(f, "within_ns", x->within_ns);
@@ -354,10 +362,10 @@ static bool get_text(const struct cJSON *object, const char *key, const char *al
 
 static err_t check_name(const char *what, const char *name)
 {
-    static const char *const folders[] = {"images/", "raw/", "merged/"};
+    static const char *const folders[] = {"images/", "masks/", "raw/", "merged/"};
     char copy[NAME_CAP];
     size_t skip = 0;
-    for (int i = 0; i < 3; i++)
+    for (int i = 0; i < 4; i++)
         if (strncmp(name, folders[i], strlen(folders[i])) == 0)
             skip = strlen(folders[i]);
     err_t e = name_copy(what, name + skip, strlen(name + skip), copy);

@@ -151,8 +151,12 @@ static err_t check_files(const char *what, const struct raw_take *raw, const str
 {
     char name[MANIFEST_NAME_CAP];
     int n = 1;
-    for (int i = 0; i < p->n; i++)
-        n += raw->camera[p->frame[i].camera].format == CAMERA_MJPG ? 1 : 2;
+    for (int i = 0; i < p->n; i++) {
+        const struct part_frame *f = &p->frame[i];
+        snprintf(name, sizeof name, "masks/train_%02d_%02d.png", f->camera, f->index);
+        n += raw->camera[f->camera].format == CAMERA_MJPG ? 1 : 2;
+        n += is_listed(&p->manifest, name);
+    }
     for (int c = 0; c < p->n_cameras; c++) {
         snprintf(name, sizeof name, "merged/%02d.exr", c);
         n += is_listed(&p->manifest, name);

@@ -6,6 +6,7 @@
  * One process at a time: it holds a lock on the folder. Protocol: firmware/store/README.md 1. */
 #include "firmware/store/store.h"
 
+#include "firmware/store/ghosts.h"
 #include "firmware/store/store_inner.h"
 #include "firmware/store/store_media.h"
 
@@ -22,7 +23,7 @@
 
 enum { CHECKED = 3, BOOT_DIGITS = 8 }; // takes that store_open verifies
 
-const char *const store_folders[STORE_FOLDERS] = {"", "images", "raw", "merged"};
+const char *const store_folders[STORE_FOLDERS] = {"", "images", "raw", "merged", "masks"};
 static const char boot_path[] = "/proc/sys/kernel/random/boot_id";
 static const char counter_name[] = "counter", aborted[] = "aborted-";
 static const uint64_t counter_max = 999999999;
@@ -61,6 +62,8 @@ bool store_is_file(const char *name)
                                         "raw/00_00.bin",
                                         "raw/00_00.jpg",
                                         "merged/00.exr",
+                                        "masks",
+                                        "masks/train_00_00.png",
                                         "images/train_00_00.png",
                                         "images/train_00_00.jpg"};
     for (size_t i = 0; i < sizeof names / sizeof names[0]; i++) {
@@ -459,6 +462,7 @@ err_t store_room(const struct store *s, uint64_t bytes)
 struct commit {
     struct store *s;
     const struct take *t;
+    bool ghosts; // something moved in it
     struct store_new to;
 };
 
@@ -584,7 +588,17 @@ static err_t put_frame(struct commit *c, const struct take_frame *f)
         e = store_fs_write(c->s->fs, path, f->data, f->bytes);
     if (!e)
         e = add_file(c, name);
-    if (e || c->t->status != TAKE_COMPLETE || manifest_is_jpeg(c->t, f))
+    if (e || c->t->status != TAKE_COMPLETE)
+        return e;
+    if (f->ghost.moved) {
+        manifest_mask_name(f, name);
+        e = file_join(c->to.tmp, name, path);
+        if (!e)
+            e = ghosts_write(c->s->fs, c->t, f, path);
+        if (!e)
+            e = add_file(c, name);
+    }
+    if (e || manifest_is_jpeg(c->t, f))
         return e;
     manifest_picture_name(c->t, f, name);
     e = file_join(c->to.tmp, name, path);
@@ -665,11 +679,15 @@ static err_t put_manifest(struct commit *c)
 static err_t each_folder(const struct commit *c, bool merge,
                          err_t (*act)(const struct store_fs *, const char *))
 {
-    const char *const folders[] = {"raw", "images", "merged"};
+    const bool complete = c->t->status == TAKE_COMPLETE;
+    const char *const folders[] = {"raw", complete ? "images" : NULL,
+                                   complete && merge ? "merged" : NULL,
+                                   complete && c->ghosts ? "masks" : NULL};
     char path[FILE_PATH_CAP];
-    int n = c->t->status != TAKE_COMPLETE ? 1 : merge ? 3 : 2;
     err_t e = OK;
-    for (int i = 0; i < n && !e; i++) {
+    for (int i = 0; i < 4 && !e; i++) {
+        if (!folders[i])
+            continue;
         e = file_join(c->to.tmp, folders[i], path);
         if (!e)
             e = act(c->s->fs, path);
@@ -747,7 +765,7 @@ static err_t name_take(struct commit *c, uint64_t number)
     return store_name(c->s, m->id, &c->to);
 }
 
-err_t store_commit(struct store *s, const struct take *t, char id[STORE_ID_CAP])
+err_t store_commit(struct store *s, struct take *t, char id[STORE_ID_CAP])
 {
     struct commit c = {.s = s, .t = t};
     uint64_t number = 0;
@@ -756,6 +774,8 @@ err_t store_commit(struct store *s, const struct take *t, char id[STORE_ID_CAP])
     err_t e = check_shape(t);
     if (!e)
         e = check_room(s, t);
+    if (!e && t->status == TAKE_COMPLETE)
+        c.ghosts = ghosts_note(t, s->cfg.moved);
     if (!e)
         e = take_number(s, &number);
     if (!e)

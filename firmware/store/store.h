@@ -3,6 +3,7 @@
  *   STORE/counter                   the next number, replaced atomically
  *   STORE/BOOT8-NNNNNN/             BOOT8: first 8 digits of the boot id; NNNNNN: counter
  *     images/train_CC_EE.png|jpg    display pictures: camera CC, exposure EE; JPEG as it came
+ *     masks/train_CC_EE.png         of frames in which something moved: 0 where (ghosts.h)
  *     exposure.json                 name to exposure, for `hdrig reconstruct --images`
  *     raw/CC_EE.bin                 bytes of the driver, unless they are the JPEG
  *     merged/CC.exr                 full brackets: parts e00.. and `merged`, exposure attributes;
@@ -31,6 +32,8 @@ struct store_config {
     const char *path;
     uint64_t reserve; // bytes of the file system that stay free
     bool merge;       // write merged/
+    double moved;     // share of a picture, beyond which movement between the exposures of a
+                      // bracket becomes a sentence in the take's reason; 0: never
     int keep;         // takes; the oldest complete ones beyond that are removed, and as many
                       // aborted ones are kept; those of the newest session stay, and complete
                       // parts of a rig's takes, which do not count; 0: all
@@ -56,12 +59,13 @@ uint64_t store_need(const struct store *s, const struct camera_info *info, int f
  * err:  ERR_LIMIT with need, free and reserve. */
 MUST_USE err_t store_room(const struct store *s, uint64_t bytes);
 
-/* Write a take and make it visible. After an error nothing of it is left (a disk that also refuses
- * the removal may show it, whole), older takes are unchanged, and the caller may try again.
+/* Compare the exposures of its brackets (ghosts.h), write a take and make it visible. After an
+ * error nothing of it is left (a disk that also refuses the removal may show it, whole), older
+ * takes are unchanged, and the caller may try again.
  * out:  id, its folder's name.
  * err:  ERR_LIMIT (full), ERR_IO, ERR_ARG (a take that contradicts itself), ERR_NOMEM, those of
  *       unpack_run */
-MUST_USE err_t store_commit(struct store *s, const struct take *t, char id[STORE_ID_CAP]);
+MUST_USE err_t store_commit(struct store *s, struct take *t, char id[STORE_ID_CAP]);
 
 /* Take the next number for a take that will be committed later by joint_commit. Durable; a number
  * that stays unused is a gap. thread: any.

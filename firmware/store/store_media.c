@@ -19,8 +19,7 @@
 
 enum { THIN_EDGE = 64, PARTS_MAX = BRACKET_EXPOSURES_MAX + 1, EXPONENTS = 256 };
 
-/* own: free(out->px). */
-static err_t unpack_frame(const struct take *t, const struct take_frame *f, struct raw *out)
+err_t store_media_unpack(const struct take *t, const struct take_frame *f, struct raw *out)
 {
     const struct camera_info *info = &t->camera[f->camera].info;
     const struct frame frame = {.data = f->data,
@@ -74,7 +73,7 @@ err_t store_media_balance(const struct take *t, struct develop *out)
     for (int i = 0; i < t->n && !e; i++) {
         if (t->camera[t->frame[i].camera].info.format < CAMERA_RGGB16)
             continue;
-        e = unpack_frame(t, &t->frame[i], &full);
+        e = store_media_unpack(t, &t->frame[i], &full);
         if (e)
             break;
         e = subsample_mosaic(&full, &small[n]);
@@ -96,7 +95,7 @@ err_t store_media_picture(const struct store_fs *fs, const struct take *t,
     struct raw raw;
     void *bytes = NULL;
     size_t n;
-    err_t e = unpack_frame(t, f, &raw);
+    err_t e = store_media_unpack(t, f, &raw);
     if (e)
         return e;
     struct image8 im = {raw.w, raw.h, 3, malloc((size_t)raw.w * (size_t)raw.h * 3)};
@@ -132,6 +131,7 @@ struct merge {
     struct raw raw[BRACKET_EXPOSURES_MAX];
     double exposure_s[BRACKET_EXPOSURES_MAX];
     const struct take_frame *frame[BRACKET_EXPOSURES_MAX];
+    struct ghost_mask moved[BRACKET_EXPOSURES_MAX]; // the take's
     int n;
     float scale; // scale of `merged`
     struct image im;
@@ -216,7 +216,7 @@ static err_t fill_part(void *ctx, int i, const struct image **out)
     const double one = 1.0;
     *out = &m->im;
     if (i > 0) {
-        struct merge_set set = {&m->raw[i - 1], 1, &one, m->crf, m->how};
+        struct merge_set set = {&m->raw[i - 1], 1, &one, m->crf, m->how, NULL};
         merge_rows(&set, 0, m->im.h, &m->im);
     }
     return OK;
@@ -228,7 +228,7 @@ static err_t merge_open(struct merge *m)
     m->im = (struct image){m->raw[0].w, m->raw[0].h, 3, malloc(plane * 3 * sizeof(float))};
     if (!m->im.px)
         return err_fail(ERR_NOMEM, "merging: no memory for %d x %d px", m->im.w, m->im.h);
-    struct merge_set set = {m->raw, m->n, m->exposure_s, m->crf, m->how};
+    struct merge_set set = {m->raw, m->n, m->exposure_s, m->crf, m->how, m->moved};
     merge_rows(&set, 0, m->im.h, &m->im);
     m->scale = scale_of(&m->im);
     for (size_t i = 0; i < 3 * plane; i++)
@@ -264,8 +264,9 @@ err_t store_media_merge(const struct store_fs *fs, const struct take *t, int cam
     for (int i = 0; i < t->n && !e; i++)
         if (t->frame[i].camera == camera) {
             m->frame[m->n] = &t->frame[i];
+            m->moved[m->n] = t->frame[i].ghost;
             m->exposure_s[m->n] = take_exposure_s(&t->frame[i]);
-            e = unpack_frame(t, &t->frame[i], &m->raw[m->n]);
+            e = store_media_unpack(t, &t->frame[i], &m->raw[m->n]);
             m->n += !e;
         }
     if (!e)
@@ -292,6 +293,8 @@ uint64_t store_media_need(const struct camera_info *info, int frames, bool merge
     uint64_t need = n * (row * (uint64_t)info->h * 3 / 2 + OVERHEAD); // NV12 has half as many rows
     if (!jpeg)
         need += n * (3 * px + 3 * px / 64 + OVERHEAD);
+    if (frames > 1)
+        need += n * (px / 4 + OVERHEAD); // masks
     if (merge && frames > 1)
         need += (n + 1) * (6 * px + OVERHEAD);
     return need;

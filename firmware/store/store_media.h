@@ -8,6 +8,13 @@
 #include "firmware/store/store_fs.h"
 
 #include "core/photo/develop.h"
+#include "core/photo/raw.h"
+
+/* The numbers of a frame.
+ * own:  free(out->px).
+ * err:  ERR_FORMAT (it differs from its camera's format), ERR_NOMEM. */
+MUST_USE err_t store_media_unpack(const struct take *t, const struct take_frame *f,
+                                  struct raw *out);
 
 /* One white balance for all mosaics of a take; 1 if there are none.
  * err:  ERR_FORMAT (a frame differs from its camera's format), ERR_NOMEM. */
@@ -19,9 +26,10 @@ MUST_USE err_t store_media_picture(const struct store_fs *fs, const struct take 
                                    const struct take_frame *f, const struct develop *how,
                                    const char *path);
 
-/* Merge the frames of a camera that has several: part `merged`, then e00.. for each exposure.
- * Radiance is relative, 1 saturates in 1 s at gain 1; it is the value in the file times
- * hdrigRadianceScale, a power of two that brings nearly all values of `merged` below 1.
+/* Merge the frames of a camera that has several, without the pixels that moved: part `merged`,
+ * then e00.. for each exposure, whole. Radiance is relative, 1 saturates in 1 s at gain 1; it is
+ * the value in the file times hdrigRadianceScale, a power of two that brings nearly all values of
+ * `merged` below 1.
  * err:  those of unpack_run and of writing. */
 MUST_USE err_t store_media_merge(const struct store_fs *fs, const struct take *t, int camera,
                                  const struct develop *how, const char *path);

@@ -121,7 +121,7 @@ static void photograph(enum kind kind, uint64_t seed)
 /* own: arena_free */
 static int find(const struct crf *crf, int n, struct arena *a)
 {
-    const struct merge_set set = {frames, n, time_s, crf, &as_is};
+    const struct merge_set set = {frames, n, time_s, crf, &as_is, NULL};
     const int reference = ghost_reference(&set);
     assert_int_equal(arena_init(a, "ghost", ghost_plan(frames, n)), OK);
     assert_int_equal(ghost_run(a, &set, reference, masks), OK);
@@ -160,7 +160,7 @@ static void add_score(int r, double least, struct score *s)
             const int x = p % S, y = p / S, kr = (y - dy) * S + x - dx;
             if (x < BORDER || y < BORDER || x >= S - BORDER || y >= S - BORDER)
                 continue;
-            const bool marked = ghost_at(&masks[i], x, y);
+            const bool marked = ghost_mask_at(&masks[i], x, y);
             const bool is_still = mask[i][p] == 255 && mask[r][kr] == 255;
             s->same += is_still;
             s->wrong += is_still && marked;
@@ -297,7 +297,7 @@ static void everything_moved(void **state)
 
 static void too_little_memory(void **state)
 {
-    const struct merge_set set = {frames, FRAMES, time_s, NULL, &as_is};
+    const struct merge_set set = {frames, FRAMES, time_s, NULL, &as_is, NULL};
     struct arena a;
     (void)state;
     photograph(MOSAIC, 1);

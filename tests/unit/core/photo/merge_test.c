@@ -65,7 +65,7 @@ static void take_frame(const struct sensor *s, int i, const struct curve *c)
 static void merge_frames(int n, const double *exposure_s, const struct crf *crf)
 {
     struct image out = {frames[0].w, frames[0].h, 3, merged};
-    struct merge_set set = {frames, n, exposure_s, crf, &as_is};
+    struct merge_set set = {frames, n, exposure_s, crf, &as_is, NULL};
     memset(merged, 0xFF, sizeof merged);
     merge_rows(&set, 0, frames[0].h, &out);
 }
@@ -121,7 +121,7 @@ static void test_mosaic(void **state)
     struct sensor s = sensor_for(SENSOR_RGGB);
     struct develop how;
     struct image out = {W, H, 3, merged};
-    struct merge_set set = {frames, 3, exposure, NULL, &how};
+    struct merge_set set = {frames, 3, exposure, NULL, &how, NULL};
     (void)state;
     make_scene();
     for (int i = 0; i < 3; i++)
@@ -208,7 +208,7 @@ static void test_frames_and_rows(void **state)
     merge_frames(3, exposure, NULL);
     memcpy(first, merged, sizeof first);
     struct image out = {W, H, 3, merged};
-    struct merge_set set = {frames, 3, exposure, NULL, &as_is};
+    struct merge_set set = {frames, 3, exposure, NULL, &as_is, NULL};
     memset(merged, 0xFF, sizeof merged);
     for (int y = 0; y < H; y += 9)
         merge_rows(&set, y, y + 9 < H ? y + 9 : H, &out);
@@ -219,6 +219,39 @@ static void test_frames_and_rows(void **state)
     merge_frames(3, (const double[3]){exposure[2], exposure[1], exposure[0]}, NULL);
     for (int i = 0; i < 3 * N; i++)
         assert_true(fabsf(merged[i] - first[i]) <= 1e-5f * first[i] + 1e-6f);
+}
+
+/* Where a frame shows something else, the picture is that of the others. */
+static void test_left_out(void **state)
+{
+    static float others[3 * N];
+    static uint8_t cells[2 * 2];
+    struct ghost_mask moved[3] = {{W / 2, 2, 2, NULL, 0, {0, 0}},
+                                  {W / 2, 2, 2, NULL, 0, {0, 0}},
+                                  {W / 2, 2, 2, cells, 0.25, {0, 0}}};
+    const struct curve *kinds[2] = {NULL, NULL};
+    struct curve srgb;
+    (void)state;
+    curve_make(CURVE_SRGB, 0, 0, &srgb);
+    kinds[1] = &srgb;
+    make_scene();
+    cells[1] = 1; // the right half
+    for (int k = 0; k < 2; k++) {
+        struct sensor s = sensor_for(SENSOR_RGB);
+        struct image out = {W, H, 3, merged};
+        for (int i = 0; i < 3; i++)
+            take_frame(&s, i, kinds[k]);
+        merge_frames(2, exposure, NULL);
+        memcpy(others, merged, sizeof others);
+        const struct merge_set set = {frames, 3, exposure, NULL, &as_is, moved};
+        merge_rows(&set, 0, H, &out);
+        int same = 0;
+        for (int i = 0; i < 3 * N; i++) {
+            assert_true(i % W < W / 2 || merged[i] == others[i]);
+            same += merged[i] == others[i];
+        }
+        assert_true(same < 3 * N * 9 / 10);
+    }
 }
 
 static void test_one_frame(void **state)
@@ -257,13 +290,10 @@ static void test_one_colour_clipped(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_within_noise),
-        cmocka_unit_test(test_mosaic),
-        cmocka_unit_test(test_display),
-        cmocka_unit_test(test_ends),
-        cmocka_unit_test(test_frames_and_rows),
-        cmocka_unit_test(test_one_frame),
-        cmocka_unit_test(test_one_colour_clipped),
+        cmocka_unit_test(test_within_noise),    cmocka_unit_test(test_mosaic),
+        cmocka_unit_test(test_display),         cmocka_unit_test(test_ends),
+        cmocka_unit_test(test_frames_and_rows), cmocka_unit_test(test_left_out),
+        cmocka_unit_test(test_one_frame),       cmocka_unit_test(test_one_colour_clipped),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
