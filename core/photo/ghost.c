@@ -515,11 +515,13 @@ static inline float error_square(const struct ghost *g, int x, int y, int c, boo
     float s[2], most;
     if (!compare(g, p, q, c, &d))
         return -1;
+    *exact = d.exact;
+    if (d.d * d.d < d.noise) // most pixels: what else may be wrong does not matter
+        return d.d * d.d / (d.noise * g->excess[c][p[c]]);
     slope_of(g, x, y, c, s, &most);
     const float slack = RELATIVE[g->raw->linear] * g->light[c][p[c]] * l->scale +
                         (d.exact ? g->place : fmaxf(g->place, 0.5f)) * most * g->steep[c][p[c]];
     d.d -= d.exact ? g->part[0] * s[0] + g->part[1] * s[1] : 0;
-    *exact = d.exact;
     return d.d * d.d / ((d.noise + slack * slack) * g->excess[c][p[c]]);
 }
 
