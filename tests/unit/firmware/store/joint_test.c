@@ -215,6 +215,26 @@ static double number_at(const struct cJSON *object, const char *key)
     return v;
 }
 
+/* Something moves before the camera of the second board. */
+static void masks_are_numbered(void **state)
+{
+    (void)state;
+    char id[STORE_ID_CAP];
+    struct store *s = open_in(folder, 0);
+    begin(s, id);
+    stage(s, small_part(2, 2, CAMERA_GREY16, id, "b0"), id);
+    struct take *t = small_part(1, 2, CAMERA_GREY16, id, "b1");
+    for (int i = 0; i < SMALL_W * SMALL_H / 2; i++)
+        t->frame[1].data[2 * i + 1] = 1; // code 256 to 511
+    stage(s, t, id);
+    expect_ok(join(s, id, 2));
+    expect_ok(store_verify(in("", id, "")));
+    assert_int_equal(entries(in("", id, "masks")), 1);
+    assert_true(file_exists(in("", id, "masks/train_02_00.png")) ||
+                file_exists(in("", id, "masks/train_02_01.png")));
+    store_close(s);
+}
+
 static void says_everything(void **state)
 {
     (void)state;
@@ -685,11 +705,21 @@ static void numbers_are_reserved(void **state)
 int main(void)
 {
 #define EACH(f) cmocka_unit_test_setup_teardown(f, setup, tmpdir_teardown)
-    const struct CMUnitTest tests[] = {
-        EACH(orders),         EACH(two_boards),           EACH(says_everything),
-        EACH(sixteen_boards), EACH(the_largest_rig),      EACH(missing_boards),
-        EACH(white_balances), EACH(copies_without_links), EACH(own_part),
-        EACH(spoiled_parts),  EACH(parts_of_others),      EACH(hostile_parts),
-        EACH(arguments),      EACH(parts_are_held),       EACH(numbers_are_reserved)};
+    const struct CMUnitTest tests[] = {EACH(orders),
+                                       EACH(two_boards),
+                                       EACH(says_everything),
+                                       EACH(masks_are_numbered),
+                                       EACH(sixteen_boards),
+                                       EACH(the_largest_rig),
+                                       EACH(missing_boards),
+                                       EACH(white_balances),
+                                       EACH(copies_without_links),
+                                       EACH(own_part),
+                                       EACH(spoiled_parts),
+                                       EACH(parts_of_others),
+                                       EACH(hostile_parts),
+                                       EACH(arguments),
+                                       EACH(parts_are_held),
+                                       EACH(numbers_are_reserved)};
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
