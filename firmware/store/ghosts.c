@@ -4,6 +4,7 @@
 
 #include "core/base/log.h"
 #include "core/photo/ghost.h"
+#include "core/photo/ghost_shrink.h"
 #include "drivers/format/img.h"
 
 #include <stdlib.h>
@@ -17,6 +18,8 @@ struct bracket {
     double exposure_s[BRACKET_EXPOSURES_MAX];
     struct ghost_mask mask[BRACKET_EXPOSURES_MAX];
 };
+
+enum { SIDE = 1024 }; // px: longer frames are compared smaller
 
 /* The take keeps masks that are not empty. */
 static err_t keep_masks(const struct bracket *b)
@@ -37,6 +40,15 @@ static err_t keep_masks(const struct bracket *b)
     return OK;
 }
 
+static int shrink_frames(struct bracket *b)
+{
+    const int side = b->raw[0].w > b->raw[0].h ? b->raw[0].w : b->raw[0].h;
+    const int k = (side + SIDE - 1) / SIDE;
+    for (int i = 0; i < b->n; i++)
+        ghost_shrink_frame(&b->raw[i], k);
+    return k;
+}
+
 static err_t compare_frames(const struct take *t, int camera, struct bracket *b)
 {
     static const struct develop as_is = {1, 1};
@@ -44,9 +56,12 @@ static err_t compare_frames(const struct take *t, int camera, struct bracket *b)
     const struct merge_set set = {b->raw, b->n, b->exposure_s, c->has_crf ? &c->crf : NULL,
                                   &as_is, NULL};
     struct arena a = {0};
+    const int k = shrink_frames(b);
     err_t e = arena_init(&a, "what moved", ghost_plan(b->raw, b->n));
     if (!e)
         e = ghost_run(&a, &set, ghost_reference(&set), b->mask);
+    for (int i = 0; i < b->n && !e; i++)
+        ghost_shrink_undo(&b->mask[i], k);
     if (!e)
         e = keep_masks(b);
     arena_free(&a);

@@ -1,6 +1,7 @@
 /* Brackets of simulated worlds in which somebody passes by: nine of ten pixels that differ by three
  * sigma are found, at most two of a hundred wrongly, also of a shaken stand; and the extremes. */
 #include "core/photo/ghost.h"
+#include "core/photo/ghost_shrink.h"
 
 #include "core/base/num.h"
 #include "sim/sensor/sensor.h"
@@ -309,12 +310,45 @@ static void too_little_memory(void **state)
     }
 }
 
+static void large_frames_shrink(void **state)
+{
+    (void)state;
+    uint16_t v[9 * 8 * 3];
+    struct raw r = {9, 8, RAW_RGB, 8, 0, false, v};
+    for (int i = 0; i < 9 * 8 * 3; i++)
+        v[i] = (uint16_t)(i / 3 % 9 + 10 * (i / 27) + 100 * (i % 3 == 2));
+    v[3 * 9 + 1] = 250; // clipped: green of (0, 1)
+    ghost_shrink_frame(&r, 2);
+    assert_true(r.w == 4 && r.h == 4);
+    for (int i = 0; i < 4 * 4 * 3; i++) {
+        const int x = i / 3 % 4, y = i / 12;
+        const int mean = 2 * x + 20 * y + 5 + 100 * (i % 3 == 2); // and a half
+        assert_int_equal(v[i], i == 1 ? 250 : mean);
+    }
+    struct raw m = {8, 8, RAW_GBRG, 12, 0, true, v};
+    for (int i = 0; i < 64; i++)
+        v[i] = (uint16_t)(1000 * (i % 2) + 500 * (i / 8 % 2) + i % 8 / 2 + 4 * (i / 16));
+    ghost_shrink_frame(&m, 2);
+    assert_true(m.w == 4 && m.h == 4);
+    for (int i = 0; i < 16; i++) {
+        const int x = i % 4, y = i / 4;
+        assert_int_equal(v[i], 1000 * (x % 2) + 500 * (y % 2) + 2 * (x / 2) + 8 * (y / 2) + 2);
+    }
+    ghost_shrink_frame(&m, 1);
+    assert_true(m.w == 4);
+    struct ghost_mask large = {
+        .cell = 4, .cols = 2, .rows = 1, .moved = (uint8_t[]){0, 1}, .shift = {1, -1}};
+    ghost_shrink_undo(&large, 3);
+    assert_true(!ghost_mask_at(&large, 14, 0) && ghost_mask_at(&large, 15, 0));
+    assert_true(ghost_mask_at(&large, 26, 8) && !ghost_mask_at(&large, 27, 0));
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(somebody_is_found), cmocka_unit_test(nothing_to_tell),
-        cmocka_unit_test(far_apart), cmocka_unit_test(everything_moved),
-        cmocka_unit_test(too_little_memory)};
+        cmocka_unit_test(large_frames_shrink), cmocka_unit_test(somebody_is_found),
+        cmocka_unit_test(nothing_to_tell),     cmocka_unit_test(far_apart),
+        cmocka_unit_test(everything_moved),    cmocka_unit_test(too_little_memory)};
     crf_srgb(&srgb);
     srgb.known = true;
     return cmocka_run_group_tests(tests, NULL, NULL);
