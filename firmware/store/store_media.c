@@ -132,6 +132,7 @@ struct merge {
     double exposure_s[BRACKET_EXPOSURES_MAX];
     const struct take_frame *frame[BRACKET_EXPOSURES_MAX];
     struct ghost_mask moved[BRACKET_EXPOSURES_MAX]; // the take's
+    bool is_masked;                                 // one of them is not empty
     int n;
     float scale; // scale of `merged`
     struct image im;
@@ -228,7 +229,8 @@ static err_t merge_open(struct merge *m)
     m->im = (struct image){m->raw[0].w, m->raw[0].h, 3, malloc(plane * 3 * sizeof(float))};
     if (!m->im.px)
         return err_fail(ERR_NOMEM, "merging: no memory for %d x %d px", m->im.w, m->im.h);
-    struct merge_set set = {m->raw, m->n, m->exposure_s, m->crf, m->how, m->moved};
+    struct merge_set set = {m->raw, m->n,   m->exposure_s,
+                            m->crf, m->how, m->is_masked ? m->moved : NULL};
     merge_rows(&set, 0, m->im.h, &m->im);
     m->scale = scale_of(&m->im);
     for (size_t i = 0; i < 3 * plane; i++)
@@ -265,6 +267,7 @@ err_t store_media_merge(const struct store_fs *fs, const struct take *t, int cam
         if (t->frame[i].camera == camera) {
             m->frame[m->n] = &t->frame[i];
             m->moved[m->n] = t->frame[i].ghost;
+            m->is_masked = m->is_masked || t->frame[i].ghost.moved;
             m->exposure_s[m->n] = take_exposure_s(&t->frame[i]);
             e = store_media_unpack(t, &t->frame[i], &m->raw[m->n]);
             m->n += !e;
