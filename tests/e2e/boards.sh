@@ -78,6 +78,7 @@ for id in $(grep -o 'rig forget [0-9a-f-]*' "$OUT/killed.txt" | cut -d' ' -f3); 
 done
 quiet
 press 0 "$OUT/hub/store"
+quiet # of its parts
 
 # a part is deleted on its board: the others' parts wait for their owner, who joins them
 prlimit --pid "${pid[hub]}" --fsize=2000:2000 # as good as full: no part can be fetched
