@@ -179,23 +179,27 @@ static size_t cell_at(const struct job *j, int y)
            (size_t)(in->x / in->cell_px);
 }
 
-/* The picture's own codes where the photograph is left out. */
-static void hide_codes(const struct job *j, int colour, int y, float *codes)
+/* Where the photograph is left out, a row becomes the codes of ldr; NULL: 0. */
+static void replace_skipped(const struct job *j, int y, const float *ldr, float *row)
 {
     const int px = j->in->cell_px;
-    const float *ldr = j->l->ldr + (size_t)colour * j->px + (size_t)y * (size_t)j->w;
     if (!j->in->skip)
         return;
     const uint8_t *skip = j->in->skip + cell_at(j, y);
     for (int from = 0; from < j->w; from += px)
         for (int i = from; i < num_min(from + px, j->w) && skip[from / px]; i++)
-            codes[i] = 255.0f * ldr[i];
+            row[i] = ldr ? 255.0f * ldr[i] : 0;
+}
+
+static const float *ldr_row(const struct job *j, int colour, int y)
+{
+    return j->l->ldr + (size_t)colour * j->px + (size_t)y * (size_t)j->w;
 }
 
 static void code_row(const struct job *j, int colour, int y, float *out)
 {
     read_codes(j, colour, y, out);
-    hide_codes(j, colour, y, out);
+    replace_skipped(j, y, ldr_row(j, colour, y), out);
 }
 
 static void ssim_rows(const struct job *j, int colour, int row0, int row1, float *scratch,
@@ -248,7 +252,7 @@ static void measure_excess(const struct job *j, int colour, int y, const float *
 {
     const struct loss_input *in = j->in;
     const int px = in->cell_px, top = (in->y + y) / px * px;
-    const float *ldr = j->l->ldr + (size_t)colour * j->px + (size_t)y * (size_t)j->w;
+    const float *ldr = ldr_row(j, colour, y);
     float *to = in->excess + ((size_t)(top / px) * 3 + (size_t)colour) * (size_t)in->cells_across +
                 in->x / px;
     const int rows = num_min(px, photo_h(j) - top);
@@ -283,15 +287,6 @@ static void measure_held_out(const struct job *j, int colour, int y, const float
     }
 }
 
-static void stop_skipped(const struct job *j, int y, float *d)
-{
-    const int px = j->in->cell_px;
-    const uint8_t *skip = j->in->skip + cell_at(j, y);
-    for (int from = 0; from < j->w; from += px)
-        for (int i = from; i < num_min(from + px, j->w) && skip[from / px]; i++)
-            d[i] = 0;
-}
-
 /* d loss / d display of one row and colour: SSIM through the blurred maps, L1, held-out squares. */
 static void display_grad(const struct job *j, int colour, int y, float *line, float *d, double *p)
 {
@@ -301,7 +296,7 @@ static void display_grad(const struct job *j, int colour, int y, float *line, fl
     read_codes(j, colour, y, codes);
     if (in->excess)
         measure_excess(j, colour, y, codes);
-    hide_codes(j, colour, y, codes);
+    replace_skipped(j, y, ldr_row(j, colour, y), codes);
     for (int k = 0; k < 3; k++) {
         const float *rows[LOSS_WINDOW];
         for (int i = 0; i < LOSS_WINDOW; i++)
@@ -317,8 +312,7 @@ static void display_grad(const struct job *j, int colour, int y, float *line, fl
                               .ssim = -in->w_ssim / (float)(3 * (j->h - EDGE) * (j->w - EDGE)),
                               .n = j->w};
     p[P_L1] += j->r->k->display_row(&row, d);
-    if (in->skip)
-        stop_skipped(j, y, d);
+    replace_skipped(j, y, NULL, d);
     if (in->held)
         measure_held_out(j, colour, y, codes, d, p);
 }

@@ -44,14 +44,14 @@ struct loss_input {
     const uint8_t *held; // (ceil(photo_h / held_px), held_across) 1 = held out; NULL = nothing
     int held_px;         // edge of a square
     int held_across;     // squares in a row of `held`, >= ceil(photo_w / held_px)
-    /* The same for cells of cell_px (16 is a multiple of it), cells_down rows of cells_across. */
+    /* The same for cells of cell_px, of which 16 is a multiple, in rows of cells_across. */
     const uint8_t *skip; // 1 = left out; NULL = nothing
-    float *excess;       // (cells_down, 3, cells_across) out: mean of picture - photograph of each
+    float *excess;       // (rows, 3, cells_across) out: mean of picture - photograph of each
                          // cell that is compared here, left out or not; NULL: not wanted
     int cell_px, cells_across;
-    int first, end;      // rows of the picture that this rank of a team compares, begin and end on
-                         // multiples of 16 or at the picture's end; 10 more on both sides are drawn
-    bool more; // add to the gradients of the previous call: another photograph, same picture
+    int first, end; // rows of the picture that this rank of a team compares, begin and end on
+                    // multiples of 16 or at the picture's end; 10 more on both sides are drawn
+    bool more;      // add to the gradients of the previous call: another photograph, same picture
 };
 
 struct loss_output {

@@ -5,7 +5,6 @@
 #include "core/sfm/pose.h"
 
 #include <math.h>
-#include <stdlib.h>
 #include <string.h>
 
 /* Display values. */
@@ -106,18 +105,6 @@ static struct grid grid_of(const struct outliers *o, int k)
     return (struct grid){(px->w + o->px - 1) / o->px, (px->h + o->px - 1) / o->px};
 }
 
-static int ascending(const void *a, const void *b)
-{
-    const float x = *(const float *)a, y = *(const float *)b;
-    return (x > y) - (x < y);
-}
-
-static float median_of(float *v, size_t n)
-{
-    qsort(v, n, sizeof *v, ascending);
-    return n ? v[n / 2] : 0;
-}
-
 static void mark_hits(struct outliers *o, int k)
 {
     const struct grid g = grid_of(o, k);
@@ -128,7 +115,7 @@ static void mark_hits(struct outliers *o, int k)
         for (int x = 0; x < g.w; x++)
             if (score[y * o->across + x] >= 0)
                 o->sorted[n++] = score[y * o->across + x];
-    float least = fmaxf(SCORE_MIN, SCORE_MEDIANS * median_of(o->sorted, n));
+    float least = fmaxf(SCORE_MIN, SCORE_MEDIANS * num_median(o->sorted, n));
     if ((float)n < SEEN * (float)(g.w * g.h))
         least = INFINITY;
     for (int y = 0; y < g.h; y++)
@@ -288,7 +275,7 @@ err_t outliers_judge(const struct run *r, struct outliers *o, const struct raste
     for (int k = 0; k < n; k++)
         find_patches(o, s, k);
     memcpy(o->sorted, o->share, (size_t)n * sizeof *o->sorted);
-    const float usual = median_of(o->sorted, (size_t)n);
+    const float usual = num_median(o->sorted, (size_t)n);
     for (int k = 0; k < n; k++)
         leave_out_patches(o, k, usual);
     return team_copy(r->team, o->skip, (size_t)n * outliers_cells(o));

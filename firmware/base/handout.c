@@ -3,6 +3,8 @@
  * of data sets look for beside it. All ranks take part, so that the calls are the same. */
 #include "firmware/base/handout.h"
 
+#include "firmware/base/tempdir.h"
+
 #include <errno.h>
 #include <fcntl.h>
 #include <ftw.h>
@@ -216,16 +218,11 @@ static err_t place_of(struct handout *h, const struct delivery *d, const char **
 
 static err_t make_place(struct handout *h, char to[FILE_PATH_CAP])
 {
-    const char *tmp = getenv("TMPDIR");
-    if (!tmp || !*tmp)
-        tmp = "/tmp";
     if (h->n == HANDOUT_PATHS)
         return err_fail(ERR_LIMIT, "more than %d paths", HANDOUT_PATHS);
-    if (!h->dir[0] && (strlen(tmp) + 16 > sizeof h->dir ||
-                       sprintf(h->dir, "%s/hdrig-XXXXXX", tmp) < 0 || !mkdtemp(h->dir))) {
-        h->dir[0] = 0;
-        return err_fail(file_code(errno), "a folder in %s: %s", tmp, strerror(errno));
-    }
+    err_t e = h->dir[0] ? OK : tempdir_make("hdrig", h->dir);
+    if (e)
+        return e;
     if (snprintf(to, FILE_PATH_CAP, "%s/%d", h->dir, h->n) >= FILE_PATH_CAP)
         return err_fail(ERR_ARG, "%s: path too long", h->dir);
     return mkdir(to, 0700) == 0 ? OK : err_fail(file_code(errno), "%s: %s", to, strerror(errno));
@@ -265,19 +262,9 @@ err_t handout_path(struct handout *h, struct team *t, const char *const *words, 
     return e || !d.to ? e : place_of(h, &d, path);
 }
 
-static int remove_entry(const char *path, const struct stat *st, int kind, struct FTW *at)
-{
-    (void)st;
-    (void)kind;
-    (void)at;
-    remove(path);
-    return 0;
-}
-
 void handout_close(struct handout *h)
 {
-    if (h->dir[0])
-        nftw(h->dir, remove_entry, OPEN_MOST, FTW_DEPTH | FTW_PHYS);
+    tempdir_remove(h->dir);
     for (int i = 0; i < h->n; i++)
         free(h->path[i]);
     memset(h, 0, sizeof *h);

@@ -25,7 +25,8 @@ static int remove_entry(const char *path, const struct stat *st, int flag, struc
     (void)st;
     (void)flag;
     (void)at;
-    return remove(path);
+    remove(path);
+    return 0; // whatever stays, the rest goes
 }
 
 void tempdir_remove(const char *path)
