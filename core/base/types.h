@@ -58,6 +58,7 @@ struct shot {
     struct lens lens;  // PINHOLE: image is the photograph as taken; else it was undistorted from
                        // one of taken_w x taken_h px through this lens
     int taken_w, taken_h;
+    bool masked;                // a file says which of its pixels count
     bool deep;                  // its file holds more than 8 bits
     bool linear;                // its file holds linear values: display values are their sRGB
     const struct rawframe *raw; // numbers of the sensor, read instead of its file; NULL: none
@@ -118,10 +119,12 @@ struct views {
     uint8_t *rgb;            // (n + n_more) pictures (h, w, 3)
     bool deep;               // there is rgb16
     uint16_t *rgb16;         // the pictures in 16 bits, 65535 is 1; NULL: only in 8
-    float *log2t;            // (n + n_more) log2(max(t, 1e-8))
-    float mid_log2t;         // (min + max) / 2 of log2t of all photographs
-    bool srgb;               // the response is known to be that of sRGB, white at 1
-    struct camera *cams;     // (n) for the extents; NULL if not known
+    uint8_t *masked;         // (n + n_more) pictures (h, w), 1: the pixel shows nothing of the
+                             // scene, and its value changes nothing; NULL: none does
+    float *log2t;        // (n + n_more) log2(max(t, 1e-8))
+    float mid_log2t;     // (min + max) / 2 of log2t of all photographs
+    bool srgb;           // the response is known to be that of sRGB, white at 1
+    struct camera *cams; // (n) for the extents; NULL if not known
     int n_more;
     int *place;                // (n_more) of photograph n + i, ascending
     const struct shade *shade; // (n) core/photo/shade.h; NULL: all cameras show light alike
@@ -135,6 +138,27 @@ static inline uint8_t *views_rgb(const struct views *v, int i)
 static inline uint16_t *views_rgb16(const struct views *v, int i)
 {
     return v->rgb16 + 3 * v->extent[i].at;
+}
+
+/* Its masked pixels (h, w); NULL: none are. */
+static inline uint8_t *views_masked(const struct views *v, int i)
+{
+    return v->masked ? v->masked + v->extent[i].at : NULL;
+}
+
+/* Whether pixel k of photograph i is masked. */
+static inline bool views_hides(const struct views *v, int i, size_t k)
+{
+    return v->masked && v->masked[v->extent[i].at + k];
+}
+
+/* Whether any pixel of the square of n x n px is, with (x, y) at its upper left. */
+static inline bool views_hides_any(const struct views *v, int i, int x, int y, int n)
+{
+    for (int k = 0; v->masked && k < n * n; k++)
+        if (views_hides(v, i, (size_t)(y + k / n) * (size_t)v->extent[i].w + (size_t)(x + k % n)))
+            return true;
+    return false;
 }
 
 /* The photograph of this place after photograph `last` (its first one is `place`); -1: none. */

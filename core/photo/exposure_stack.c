@@ -3,6 +3,7 @@
  * - Choice: first the photograph with the largest sum of weights, then the one that raises the
  *   best weight of every pixel most, until none raises the mean by GAIN (Hasinoff et al. 2010
  *   choose exposures by such a gain).
+ *   Masked pixels have none.
  * - Picture: the mean of log radiance, each photograph by its inverse variance. Where none has
  *   information, a saturated photograph gives a lower and a black one an upper bound: the tightest
  *   counts, or the middle between both. It is written as the mean display value over all
@@ -37,6 +38,7 @@ struct stack {
     float w[3][256];       // inverse variance
     uint8_t (*code)[3];    // (ENTRIES) display value of log2 radiance
     uint8_t *out;          // (n) pictures (h, w, 3)
+    uint8_t *masked;       // (n) pictures (h, w); NULL: nothing is
 };
 
 /* Values of a photograph of the place. */
@@ -53,7 +55,7 @@ static long gain_of(const struct stack *s, int i, const uint8_t *best)
     const uint8_t *p = views_rgb(s->v, i);
     long gain = 0;
     for (size_t k = 0; k < extent_pixels(&s->v->extent[i]); k++)
-        for (size_t c = 0; c < 3; c++) {
+        for (size_t c = 0; c < 3 && !views_hides(s->v, i, k); c++) {
             int more = s->level[c][p[3 * k + c]] - best[3 * k + c];
             gain += more > 0 ? more : 0;
         }
@@ -64,7 +66,7 @@ static void raise_levels(const struct stack *s, int i, uint8_t *best)
 {
     const uint8_t *p = views_rgb(s->v, i);
     for (size_t k = 0; k < extent_pixels(&s->v->extent[i]); k++)
-        for (size_t c = 0; c < 3; c++)
+        for (size_t c = 0; c < 3 && !views_hides(s->v, i, k); c++)
             if (s->level[c][p[3 * k + c]] > best[3 * k + c])
                 best[3 * k + c] = s->level[c][p[3 * k + c]];
 }
@@ -125,6 +127,11 @@ static void swap_photos(struct views *v, int a, int b)
         p[k] = q[k];
         q[k] = x;
     }
+    for (size_t k = 0; k < extent_pixels(&v->extent[a]) && v->masked; k++) {
+        const uint8_t x = views_masked(v, a)[k];
+        views_masked(v, a)[k] = views_masked(v, b)[k];
+        views_masked(v, b)[k] = x;
+    }
     for (size_t k = 0; k < count_values(v, a) && v->deep; k++) {
         const uint16_t x = views_rgb16(v, a)[k];
         views_rgb16(v, a)[k] = views_rgb16(v, b)[k];
@@ -149,6 +156,8 @@ void exposure_stack_drop(struct views *v, const bool *keep)
             rank += keep[k];
         memmove(v->names[n], v->names[i], NAME_CAP);
         memmove(v->rgb + 3 * at, views_rgb(v, i), 3 * extent_pixels(&v->extent[i]));
+        if (v->masked)
+            memmove(v->masked + at, views_masked(v, i), extent_pixels(&v->extent[i]));
         if (v->deep)
             memmove(v->rgb16 + 3 * at, views_rgb16(v, i), 6 * extent_pixels(&v->extent[i]));
         v->extent[n] = (struct extent){v->extent[i].w, v->extent[i].h, at};
@@ -229,6 +238,8 @@ static float pixel_radiance(const struct stack *s, int place, size_t at)
     float sum = 0, weight = 0, least = -INFINITY, most = INFINITY;
     for (int i = place; i >= 0; i = views_next(s->v, place, i)) {
         const uint8_t z = views_rgb(s->v, i)[at];
+        if (views_hides(s->v, i, at / 3))
+            continue;
         const float x = s->x[c][z] - s->v->log2t[i];
         sum += s->w[c][z] * x;
         weight += s->w[c][z];
@@ -239,7 +250,20 @@ static float pixel_radiance(const struct stack *s, int place, size_t at)
     }
     if (weight > 0)
         return sum / weight;
+    if (isinf(least) && isinf(most)) // all are masked
+        return 0;
     return isinf(least) ? most : isinf(most) ? least : (least + most) / 2;
+}
+
+/* What is masked in all photographs of the place. */
+static void merge_masks(const struct stack *s, int place)
+{
+    uint8_t *out = s->masked + s->v->extent[place].at;
+    const size_t n = extent_pixels(&s->v->extent[place]);
+    memset(out, 1, n);
+    for (int i = place; i >= 0; i = views_next(s->v, place, i))
+        for (size_t k = 0; k < n; k++)
+            out[k] &= views_masked(s->v, i)[k];
 }
 
 static err_t merge_place(void *ctx, int place, int worker)
@@ -247,6 +271,8 @@ static err_t merge_place(void *ctx, int place, int worker)
     const struct stack *s = ctx;
     uint8_t *out = s->out + 3 * s->v->extent[place].at;
     (void)worker;
+    if (s->masked)
+        merge_masks(s, place);
     for (size_t at = 0; at < count_values(s->v, place); at++) {
         float x = (pixel_radiance(s, place, at) + REACH) * CELLS;
         int cell = !(x > 0) ? 0 : x < ENTRIES - 1 ? (int)x : ENTRIES - 1;
@@ -273,7 +299,10 @@ static void fill_tables(struct stack *s, const struct tonemap *tone, const struc
 static err_t layout_merged(struct stack *s, struct arena *tmp, const struct views *v,
                            struct views *out)
 {
-    err_t e = arena_alloc(tmp, extent_total(v->extent, v->n), 3, &s->out);
+    const size_t pixels = extent_total(v->extent, v->n);
+    err_t e = arena_alloc(tmp, pixels, 3, &s->out);
+    if (!e && (v->masked || tmp->counts)) // a plan does not know
+        e = arena_alloc(tmp, pixels, 1, &s->masked);
     if (!e)
         e = arena_alloc(tmp, (size_t)v->n, sizeof *out->log2t, &out->log2t);
     return e ? e : arena_alloc(tmp, ENTRIES, sizeof *s->code, &s->code);
@@ -306,6 +335,7 @@ err_t exposure_stack_merge(const struct run *r, const struct views *v, const str
     for (int i = 0; i < v->n && !e; i++)
         out->log2t[i] = counts_as;
     out->rgb = s.out;
+    out->masked = s.masked;
     out->rgb16 = NULL;
     out->deep = false;
     out->mid_log2t = curve->mid_log2t;

@@ -10,14 +10,16 @@ struct noise {
     double *square; // (photographs) variance, display units
 };
 
-static double channel_deviation(const uint8_t *rgb, const struct extent *px, int channel)
+static double channel_deviation(const struct views *v, int i, int channel)
 {
+    const uint8_t *rgb = views_rgb(v, i);
+    const struct extent *px = &v->extent[i];
     long count[LEVELS] = {0}, n = 0, below = 0;
     size_t row = (size_t)px->w * 3;
     for (int y = 1; y + 1 < px->h; y++)
         for (int x = 1; x + 1 < px->w; x++) {
             const uint8_t *p = rgb + (size_t)y * row + 3 * x + channel, *a = p - row, *b = p + row;
-            if (p[0] < 3 || p[0] > 252)
+            if (p[0] < 3 || p[0] > 252 || views_hides_any(v, i, x - 1, y - 1, 3))
                 continue;
             int sides = p[-3] + p[3] + a[0] + b[0], corners = a[-3] + a[3] + b[-3] + b[3];
             count[abs(4 * p[0] - 2 * sides + corners)]++;
@@ -35,7 +37,7 @@ static err_t noise_view(void *ctx, int i, int worker)
     (void)worker;
     j->square[i] = 0;
     for (int c = 0; c < 3; c++) {
-        double d = channel_deviation(views_rgb(j->v, i), &j->v->extent[i], c);
+        double d = channel_deviation(j->v, i, c);
         j->square[i] += d * d / 3;
     }
     return OK;

@@ -314,8 +314,13 @@ void prep_extents(const struct capture *c, struct prep_size size, struct extent 
         out[i].at = at;
 }
 
+/* What is kept of the shots. */
+struct content {
+    bool deep, masked;
+};
+
 static err_t layout_views(struct views *v, struct arena *keep, int n_shots, size_t pixels,
-                          bool deep)
+                          struct content has)
 {
     size_t n = (size_t)n_shots;
     err_t e = arena_alloc(keep, n, sizeof *v->names, &v->names);
@@ -323,8 +328,10 @@ static err_t layout_views(struct views *v, struct arena *keep, int n_shots, size
         e = arena_alloc(keep, n, sizeof *v->extent, &v->extent);
     if (!e)
         e = arena_alloc(keep, pixels, 3, &v->rgb);
-    if (!e && deep)
+    if (!e && has.deep)
         e = arena_alloc(keep, pixels, 6, &v->rgb16);
+    if (!e && has.masked)
+        e = arena_alloc(keep, pixels, 1, &v->masked);
     if (!e)
         e = arena_alloc(keep, n, sizeof *v->log2t, &v->log2t);
     if (!e)
@@ -343,15 +350,15 @@ static size_t count_pixels(const struct capture *c, struct prep_size size)
 }
 
 static err_t views_alloc(const struct run *r, const struct capture *c, struct prep_size size,
-                         bool deep, struct views *v)
+                         struct content has, struct views *v)
 {
-    err_t e = layout_views(v, r->keep, c->n, count_pixels(c, size), deep);
+    err_t e = layout_views(v, r->keep, c->n, count_pixels(c, size), has);
     if (e)
         return e;
     v->n = prep_places(c);
     v->n_more = c->n - v->n;
     v->size = size.edge;
-    v->deep = deep;
+    v->deep = has.deep;
     v->srgb = c->shots[0].linear;
     v->aspect = size.square ? (float)c->shots[0].image.h / (float)c->shots[0].image.w : 1;
     prep_extents(c, size, v->extent);
@@ -405,6 +412,35 @@ static err_t resize_deep(const struct job *j, int i, int k, struct scratch *s)
     return OK;
 }
 
+void prep_mask(const uint8_t *rgb, const struct extent *px, uint8_t *masked)
+{
+    for (int k = 0; k < px->w * px->h; k++) {
+        const int x = k % px->w, y = k / px->w;
+        const int y1 = num_min(y + 2, px->h), x0 = num_max(x - 1, 0), x1 = num_min(x + 2, px->w);
+        masked[k] = 0;
+        for (int v = num_max(y - 1, 0); v < y1; v++)
+            for (int u = x0; u < x1; u++)
+                masked[k] |= rgb[3 * ((size_t)v * (size_t)px->w + (size_t)u)] < 255;
+    }
+}
+
+/* The view's own pixels serve as workspace: they are written afterwards. */
+static err_t resize_mask(const struct job *j, int i, int k, struct scratch *s)
+{
+    const struct extent *to = &j->v->extent[k];
+    struct image8 im;
+    memset(views_masked(j->v, k), 0, extent_pixels(to));
+    if (!j->c->shots[i].masked)
+        return OK;
+    err_t e = j->from->decode_mask(j->from->ctx, i, &im);
+    if (e)
+        return e;
+    resize_image(&im, to->w, to->h, s, views_rgb(j->v, k));
+    prep_mask(views_rgb(j->v, k), to, views_masked(j->v, k));
+    j->from->release(&im);
+    return OK;
+}
+
 static err_t resize_shot(void *ctx, int chunk, int worker)
 {
     struct job *j = ctx;
@@ -412,6 +448,8 @@ static err_t resize_shot(void *ctx, int chunk, int worker)
     const struct extent *to = &j->v->extent[k];
     struct image8 im = j->c->shots[chunk].image;
     err_t e = run_check(j->r, "prep");
+    if (!e && j->v->masked)
+        e = resize_mask(j, chunk, k, &j->scratch[worker]);
     if (!e && j->v->deep)
         return resize_deep(j, chunk, k, &j->scratch[worker]);
     if (!e && j->from)
@@ -445,27 +483,35 @@ bool prep_is_deep(const struct capture *c, const struct prep_source *from)
     return deep;
 }
 
+static struct content content_of(const struct capture *c, const struct prep_source *from)
+{
+    struct content out = {.deep = prep_is_deep(c, from)};
+    for (int i = 0; i < c->n; i++)
+        out.masked = out.masked || (from && from->decode_mask && c->shots[i].masked);
+    return out;
+}
+
 static void plan_views(struct plan *p, int n, size_t pixels, struct image8 largest, int edge,
-                       bool deep)
+                       struct content has)
 {
     struct views v;
     struct job j;
     const size_t mark = arena_mark(&p->tmp);
-    if (layout_views(&v, &p->keep, n, pixels, deep) ||
-        layout(&j, &p->tmp, largest, edge, p->threads, deep))
+    if (layout_views(&v, &p->keep, n, pixels, has) ||
+        layout(&j, &p->tmp, largest, edge, p->threads, has.deep))
         plan_refuse(p);
     arena_reset(&p->tmp, mark);
 }
 
 void prep_plan(struct plan *p, int n, size_t pixels, struct image8 largest, int edge)
 {
-    plan_views(p, n, pixels, largest, edge, false);
+    plan_views(p, n, pixels, largest, edge, (struct content){false, false});
 }
 
 void prep_plan_capture(struct plan *p, const struct capture *c, const struct prep_source *from,
                        struct prep_size size)
 {
-    plan_views(p, c->n, count_pixels(c, size), prep_largest(c), size.edge, prep_is_deep(c, from));
+    plan_views(p, c->n, count_pixels(c, size), prep_largest(c), size.edge, content_of(c, from));
 }
 
 err_t prep_read(const struct run *r, const struct capture *c, const struct prep_source *from,
@@ -478,10 +524,10 @@ err_t prep_read(const struct run *r, const struct capture *c, const struct prep_
     struct views v = {0};
     size_t keep = arena_mark(r->keep), tmp = arena_mark(r->tmp);
     struct job j = {.r = r, .c = c, .from = from, .v = &v};
-    const bool deep = prep_is_deep(c, from);
-    e = views_alloc(r, c, size, deep, &v);
+    const struct content has = content_of(c, from);
+    e = views_alloc(r, c, size, has, &v);
     if (!e)
-        e = layout(&j, r->tmp, prep_largest(c), size.edge, pool_size(r->pool), deep);
+        e = layout(&j, r->tmp, prep_largest(c), size.edge, pool_size(r->pool), has.deep);
     if (!e) {
         fill_metadata(c, &v);
         e = pool_for(r->pool, c->n, resize_shot, &j);

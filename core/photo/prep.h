@@ -62,7 +62,14 @@ struct prep_source {
     void *ctx;
     err_t (*decode16)(void *ctx, int i, struct image16 *out); // the same of a deep shot, or NULL
     void (*release16)(struct image16 *im);
+    err_t (*decode_mask)(void *ctx, int i, struct image8 *out); // of a masked shot: black where its
+                                                                // pixels do not count, else white
 };
+
+/* A mask that was resampled as its photograph, (h, w, 3), becomes that of struct views, (h, w): a
+ * pixel counts if it and those around it, whose footprints resampling mixes with its own, are
+ * white. */
+void prep_mask(const uint8_t *rgb, const struct extent *px, uint8_t *masked);
 
 /* As prep_run.
  * from: NULL = the capture itself.

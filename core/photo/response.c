@@ -359,6 +359,8 @@ static void count_pixels(const struct views *v, int i_view, struct group *g)
     for (size_t y = 0; y + 1 < h; y += 2) {
         for (size_t x = 0; x + 1 < w; x += 2) {
             const uint8_t *p = px + y * row + 3 * x;
+            if (views_hides_any(v, i_view, (int)x, (int)y, 2))
+                continue;
             for (size_t c = 0; c < 3; c++)
                 g->hist[c][(p[c] + p[c + 3] + p[row + c] + p[row + c + 3] + 2) / 4]++;
         }
@@ -506,11 +508,11 @@ void response_mean(const struct views *v, const struct tonemap *tone, float out[
             float shift = v->log2t[i] - v->mid_log2t;
             const uint8_t *p = views_rgb(v, i) + c;
             for (size_t k = 0; k < extent_pixels(&v->extent[i]); k++, p += 3) {
-                double w = (double)table.weight[c][*p] + 1e-4;
+                double w = views_hides(v, i, k) ? 0 : (double)table.weight[c][*p] + 1e-4;
                 sum += w * (double)(table.x[c][*p] - shift);
                 weight += w;
             }
         }
-        out[c] = (float)exp2(sum / weight);
+        out[c] = weight > 0 ? (float)exp2(sum / weight) : 1;
     }
 }

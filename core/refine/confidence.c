@@ -174,6 +174,15 @@ static float photo_mean(const struct views *v, int view, const int xyc[3],
     return (float)sum / (255.0f * (float)((x1 - x0) * (y1 - y0)));
 }
 
+/* Whether pixel (x, y) of the maps has a masked one of the photograph in it. */
+static bool photo_hides(const struct views *v, int view, int x, int y, const struct render *maps)
+{
+    const struct extent *px = &v->extent[view];
+    const int x0 = x * px->w / maps->w, y0 = y * px->h / maps->h;
+    const int n = num_max(1, px->w / maps->w);
+    return views_hides_any(v, view, x0, y0, num_min(n, px->h - y0));
+}
+
 /* The maps show view i; their radiance becomes display values. */
 static void compare_photo(const struct survey *l, const struct views *v, int i)
 {
@@ -192,7 +201,7 @@ static void compare_photo(const struct survey *l, const struct views *v, int i)
             for (int x = 0; x < maps->w; x++) {
                 const size_t at = (size_t)y * (size_t)maps->w + (size_t)x;
                 const float d = display[at] - photo_mean(v, i, (const int[3]){x, y, k}, maps);
-                c->error[at] += fabsf(d) / 3;
+                c->error[at] += photo_hides(v, i, x, y, maps) ? 0 : fabsf(d) / 3;
             }
     }
 }
@@ -209,11 +218,13 @@ static float mean_around(const float *map, int w, int h, int at)
     return sum / (float)((x1 - x0 + 1) * (y1 - y0 + 1));
 }
 
-static void weigh_agreement(struct confidence *c)
+/* A masked pixel proves nothing. */
+static void weigh_agreement(struct confidence *c, const struct views *v, int view)
 {
     for (int at = 0; at < c->maps.w * c->maps.h; at++) {
         const float e = mean_around(c->error, c->maps.w, c->maps.h, at) / AGREES;
-        c->weight[at] = expf(-e * e);
+        const bool hidden = photo_hides(v, view, at % c->maps.w, at / c->maps.w, &c->maps);
+        c->weight[at] = hidden ? 0 : expf(-e * e);
     }
 }
 
@@ -290,7 +301,7 @@ static err_t count_photographs(const struct run *r, struct survey *l, const stru
         if (e)
             break;
         compare_photo(l, v, i);
-        weigh_agreement(c);
+        weigh_agreement(c, v, i);
         e = pool_for(r->pool, count_blocks(l->s), count_chunk, l);
     }
     return e;

@@ -181,6 +181,11 @@ static size_t map_index(const struct correction *s, int view, int i)
     return visibility_index(&s->visibility, view, (float)(i % w), (float)(i / w));
 }
 
+static bool pixel_masked(const struct correction *s, int view, int x, int y)
+{
+    return views_hides_any(s->known->seen.views, view, x, y, 1);
+}
+
 static const uint8_t *photo_pixel(const struct correction *s, int view, int x, int y)
 {
     const struct views *v = s->known->seen.views;
@@ -234,7 +239,8 @@ enum verdict { SILENT, AGREES, DIFFERS, BETTER };
 static enum verdict ask_view(const struct correction *s, const struct pixel *p, int j)
 {
     struct projected there;
-    if (!visibility_project(&s->visibility, j, p->point, &there))
+    if (!visibility_project(&s->visibility, j, p->point, &there) ||
+        pixel_masked(s, j, (int)there.u, (int)there.v))
         return SILENT;
     const uint8_t *rgb = photo_pixel(s, j, (int)there.u, (int)there.v);
     const bool knows = pixel_weight(s, rgb) > TIMES * p->worth;
@@ -247,7 +253,8 @@ static enum verdict ask_view(const struct correction *s, const struct pixel *p, 
     return pixels_differ(s, p, j, rgb) ? DIFFERS : AGREES;
 }
 
-/* Whether others know pixel i better, or more of them show something else there than the same. */
+/* Whether pixel i is masked, others know it better, or more of them show something else there than
+ * the same. */
 static bool pixel_refuted(const struct correction *s, int view, int i)
 {
     const int w = s->p->geom.size;
@@ -259,6 +266,8 @@ static bool pixel_refuted(const struct correction *s, int view, int i)
                             pixel_weight(s, rgb),
                             {at[0] * s->scale, at[1] * s->scale, at[2] * s->scale}};
     int against = 0;
+    if (pixel_masked(s, view, i % w, i / w))
+        return true;
     for (int j = 0; j < s->p->geom.n_views; j++) {
         const enum verdict said = j == view ? SILENT : ask_view(s, &p, j);
         if (said == BETTER)

@@ -160,13 +160,18 @@ static int photo_h(const struct job *j)
     return j->in->photo_h ? j->in->photo_h : j->h;
 }
 
+/* Of a row of the picture in a plane of the photograph. */
+static size_t row_at(const struct job *j, int y)
+{
+    return (size_t)(j->in->y + y) * (size_t)photo_w(j) + (size_t)j->in->x;
+}
+
 /* A row of the photograph as codes, 255 is 1. */
 static void read_codes(const struct job *j, int colour, int y, float *out)
 {
     const struct loss_input *in = j->in;
-    const int w = photo_w(j), h = photo_h(j);
-    const size_t at =
-        ((size_t)colour * (size_t)h + (size_t)(in->y + y)) * (size_t)w + (size_t)in->x;
+    const size_t plane = (size_t)photo_w(j) * (size_t)photo_h(j);
+    const size_t at = (size_t)colour * plane + row_at(j, y);
     for (int i = 0; i < j->w; i++)
         out[i] = in->photo16 ? (float)in->photo16[at + (size_t)i] * (1.0f / 257.0f)
                              : (float)in->photo[at + (size_t)i];
@@ -191,6 +196,18 @@ static void replace_skipped(const struct job *j, int y, const float *ldr, float 
             row[i] = ldr ? 255.0f * ldr[i] : 0;
 }
 
+/* The same where it is masked. */
+static void replace_masked(const struct job *j, int y, const float *ldr, float *row)
+{
+    const struct loss_input *in = j->in;
+    if (!in->masked)
+        return;
+    const uint8_t *masked = in->masked + row_at(j, y);
+    for (int i = 0; i < j->w; i++)
+        if (masked[i])
+            row[i] = ldr ? 255.0f * ldr[i] : 0;
+}
+
 static const float *ldr_row(const struct job *j, int colour, int y)
 {
     return j->l->ldr + (size_t)colour * j->px + (size_t)y * (size_t)j->w;
@@ -199,6 +216,7 @@ static const float *ldr_row(const struct job *j, int colour, int y)
 static void code_row(const struct job *j, int colour, int y, float *out)
 {
     read_codes(j, colour, y, out);
+    replace_masked(j, y, ldr_row(j, colour, y), out);
     replace_skipped(j, y, ldr_row(j, colour, y), out);
 }
 
@@ -273,12 +291,13 @@ static void measure_held_out(const struct job *j, int colour, int y, const float
     const uint8_t *held =
         in->held + (size_t)((in->y + y) / px) * (size_t)in->held_across + in->x / px;
     const uint8_t *skip = in->skip ? in->skip + cell_at(j, y) : NULL;
+    const uint8_t *masked = in->masked ? in->masked + row_at(j, y) : NULL;
     size_t at = (size_t)colour * j->px + (size_t)y * (size_t)j->w;
     for (int s = 0; s < squares; s++) {
         int end = (s + 1) * px < j->w ? (s + 1) * px : j->w;
         for (int i = s * px; i < end && held[s]; i++) {
             d[i] = 0;
-            if (skip && skip[i / in->cell_px])
+            if ((skip && skip[i / in->cell_px]) || (masked && masked[i]))
                 continue;
             double diff = (double)j->l->ldr[at + (size_t)i] - (double)codes[i] / 255.0;
             p[P_SSE] += diff * diff;
@@ -294,6 +313,7 @@ static void display_grad(const struct job *j, int colour, int y, float *line, fl
     size_t s = (size_t)j->l->stride, at = (size_t)colour * j->px + (size_t)y * (size_t)j->w;
     float *mixed = line + 3 * s, *codes = line + 5 * s;
     read_codes(j, colour, y, codes);
+    replace_masked(j, y, ldr_row(j, colour, y), codes);
     if (in->excess)
         measure_excess(j, colour, y, codes);
     replace_skipped(j, y, ldr_row(j, colour, y), codes);
@@ -312,6 +332,7 @@ static void display_grad(const struct job *j, int colour, int y, float *line, fl
                               .ssim = -in->w_ssim / (float)(3 * (j->h - EDGE) * (j->w - EDGE)),
                               .n = j->w};
     p[P_L1] += j->r->k->display_row(&row, d);
+    replace_masked(j, y, NULL, d);
     replace_skipped(j, y, NULL, d);
     if (in->held)
         measure_held_out(j, colour, y, codes, d, p);

@@ -2,8 +2,8 @@
  * loss = w_l1 mean |d| + w_ssim (1 - SSIM), on display values: tone curve of the radiance, plus a
  * background colour where the splats are transparent (core/refine/README.md 4). SSIM: 11-tap
  * Gaussian, sigma 1.5, valid windows only (as torchmetrics). Squares marked as held out give no
- * gradient; their squared error is returned apart. Cells that are left out count as if the
- * photograph were the picture.
+ * gradient; their squared error is returned apart. Masked pixels, and cells that are left out,
+ * count as if the photograph were the picture.
  * Invariant: the result does not depend on the number of threads. */
 #ifndef REFINE_LOSS_H
 #define REFINE_LOSS_H
@@ -37,6 +37,7 @@ struct loss_input {
     float shift;             // log2 t - mid_log2t
     const uint8_t *photo;    // (3, h, w) of the photograph
     const uint16_t *photo16; // the same in 16 bits, 65535 is 1; NULL: photo
+    const uint8_t *masked;   // (h, w) of the photograph: 1 = masked; NULL: nothing is
     int photo_w, photo_h;    // px; 0: those of the picture
     int x, y;                // px of the photograph where the picture begins, multiples of held_px
     float behind[3];         // display value added times (1 - alpha)

@@ -27,6 +27,15 @@ void pyramid_halve_deep(const uint16_t *in, int w, int h, uint16_t *out)
         }
 }
 
+void pyramid_halve_mask(const uint8_t *in, int w, int h, uint8_t *out)
+{
+    const size_t across = (size_t)w, m = across / 2, down = (size_t)h / 2;
+    for (size_t at = 0; at < m * down; at++) {
+        const uint8_t *p = in + 2 * (at / m) * across + 2 * (at % m);
+        *out++ = p[0] | p[1] | p[across] | p[across + 1];
+    }
+}
+
 /* ---- all photographs ---- */
 
 err_t pyramid_layout(struct pyramid *p, struct arena *a)
@@ -36,6 +45,9 @@ err_t pyramid_layout(struct pyramid *p, struct arena *a)
     for (int k = 0; k < p->levels && !e; k++)
         e = p->v->deep ? arena_alloc(a, pixels >> 2 * k, 6, &p->deep[k])
                        : arena_alloc(a, pixels >> 2 * k, 3, &p->planes[k]);
+    for (int k = 1; k < p->levels && !e && (p->v->masked || a->counts);
+         k++) // a plan knows no masks
+        e = arena_alloc(a, pixels >> 2 * k, 1, &p->masked[k]);
     return e;
 }
 
@@ -52,6 +64,13 @@ const uint8_t *pyramid_planes(const struct pyramid *p, int i, int level)
 const uint16_t *pyramid_deep(const struct pyramid *p, int i, int level)
 {
     return p->v->deep ? p->deep[level] + planes_at(p, i, level) : NULL;
+}
+
+const uint8_t *pyramid_masked(const struct pyramid *p, int i, int level)
+{
+    if (level == 0 || !p->v->masked)
+        return views_masked(p->v, i);
+    return p->masked[level] + (p->v->extent[i].at >> 2 * level);
 }
 
 static void split_deep(const uint16_t *in, size_t n, uint16_t *out)
@@ -77,6 +96,8 @@ static err_t fill_photo(void *ctx, int i, int worker)
             pyramid_halve_deep(pyramid_deep(p, i, k - 1), w, h, p->deep[k] + to);
         else
             pyramid_halve(pyramid_planes(p, i, k - 1), w, h, p->planes[k] + to);
+        if (p->v->masked)
+            pyramid_halve_mask(pyramid_masked(p, i, k - 1), w, h, p->masked[k] + to / 3);
     }
     return OK;
 }

@@ -249,6 +249,7 @@ static err_t compare_photo(struct refine *f, int i, int k, const struct loss_inp
     li.shift = f->v->log2t[k] - f->s->tone.mid_log2t;
     li.photo16 = pyramid_deep(&f->photos, k, f->level);
     li.photo = pyramid_planes(&f->photos, k, f->level);
+    li.masked = pyramid_masked(&f->photos, k, f->level);
     li.held = f->held + (size_t)i * squares;
     li.skip = outliers_skip(&f->outliers, k);
     struct loss_output one;
@@ -454,6 +455,21 @@ static void note_outliers(struct refine *f)
                  "left out what the other photographs do not show: in %d photographs, at most "
                  "%.1f %% of one",
                  photos, 100 * (double)most);
+}
+
+size_t refine_cells(const struct views *v)
+{
+    const size_t across = (size_t)(v->size + OUTLIERS_PX - 1) / OUTLIERS_PX;
+    return (size_t)(v->n + v->n_more) * across * across;
+}
+
+static void keep_outliers(const struct refine *f)
+{
+    const struct outliers *o = &f->outliers;
+    if (!f->cfg->left_out)
+        return;
+    f->rep->left_out = (struct refine_left_out){o->px, o->across, f->cfg->left_out};
+    memcpy(f->cfg->left_out, o->skip, (size_t)(f->v->n + f->v->n_more) * outliers_cells(o));
 }
 
 /* Present held-out error of all views. */
@@ -733,8 +749,10 @@ static err_t run_steps(struct refine *f)
         e = judge_band(f);
     if (f->steps < f->cfg->steps && !f->rep->stopped_early)
         add_note(f, "%d of %d steps: no more fit into the time", f->steps, f->cfg->steps);
-    if (!e)
+    if (!e) {
         note_outliers(f);
+        keep_outliers(f);
+    }
     return e ? e : settle_best(f);
 }
 

@@ -38,6 +38,13 @@ struct refine_config {
                 // ever larger ones; fewer where these would be too small, or the steps too few
     double seconds; // that refine_run may take by run.clock: as many steps as fit; 0: any
     const struct refine_saver *saver; // of rank 0; NULL: none. Without `seconds`
+    uint8_t *left_out;                // (refine_cells) room for the report's, or NULL
+};
+
+/* What refinement left out of photographs (core/refine/README.md 4.1), in square cells. */
+struct refine_left_out {
+    int px, across; // edge of a cell, px of the photograph; cells in a row
+    uint8_t *cell;  // (photographs, across, across) 1: left out; the configuration's, or NULL
 };
 
 enum { REFINE_NOTES = 8 };
@@ -50,12 +57,16 @@ struct refine_report {
     float loss;           // mean of the last round through the views
     float held_out_db[2]; // PSNR of the held-out squares at the start and of the result, dB; a
                           // start that was made from these squares too is flattered
+    struct refine_left_out left_out;
     int n_notes;
     char notes[REFINE_NOTES][128]; // decisions as text, for the report
 };
 
 /* Bytes that refine_run takes from r->tmp; of v only n, n_more, size, extent and deep are read. */
 size_t refine_plan(const struct views *v, const struct refine_config *cfg, int threads);
+
+/* Bytes of refine_left_out for these views; of v only n, n_more and size are read. */
+size_t refine_cells(const struct views *v);
 
 /* Number of Gaussians to start with for `places` views, from which the splits within cfg->steps can
  * still reach cfg->gaussians_max: at least half of it, all of it without steps. */

@@ -51,6 +51,8 @@ static void hash_photographs(const struct views *v, struct refine_input *out)
         add_int(&s, i < v->n ? i : v->place[i - v->n]);
     }
     sha256_add(&s, v->log2t, (size_t)n * sizeof *v->log2t);
+    if (v->masked)
+        sha256_add(&s, v->masked, values / 3);
     if (v->deep)
         sha256_add(&s, v->rgb16, values * sizeof *v->rgb16);
     else

@@ -29,14 +29,29 @@ struct refit {
     double shade; // stops, sum over these of what the cameras add in the second less in the first
 };
 
+/* The square of n x n px around px (u, v). first: its upper left. */
+static int square_around(const struct refit *f, int view, const float uv[2], int first[2])
+{
+    const struct extent *px = &f->v->extent[view];
+    const int size[2] = {px->w, px->h}, n = num_max(f->visibility.depth->scale, MEAN);
+    for (int k = 0; k < 2; k++)
+        first[k] = num_max(0, num_min((int)(uv[k] - 0.5f * (float)n + 0.5f), size[k] - n));
+    return n;
+}
+
+static bool is_masked(const struct refit *f, int view, const float uv[2])
+{
+    int first[2];
+    const int n = square_around(f, view, uv, first);
+    return views_hides_any(f->v, view, first[0], first[1], n);
+}
+
 /* Count the mean of the pixels around px (u, v). */
 static void count_pixels(const struct refit *f, int view, const float uv[2], uint32_t (*hist)[256])
 {
     const struct extent *px = &f->v->extent[view];
-    const int size[2] = {px->w, px->h}, n = num_max(f->visibility.depth->scale, MEAN);
     int first[2], sum[3] = {0};
-    for (int k = 0; k < 2; k++)
-        first[k] = num_max(0, num_min((int)(uv[k] - 0.5f * (float)n + 0.5f), size[k] - n));
+    const int n = square_around(f, view, uv, first);
     for (int i = 0; i < n * n; i++) {
         const size_t y = (size_t)(first[1] + i / n), x = (size_t)(first[0] + i % n);
         const uint8_t *p = views_rgb(f->v, view) + 3 * (y * (size_t)px->w + x);
@@ -76,10 +91,12 @@ static void add_shared(struct refit *f, int i, int j, bool swap)
         if (!visibility_project(&f->visibility, j, point, &there) ||
             !visibility_on_surface(&f->visibility, &there))
             continue;
+        const float at_j[2] = {there.u, there.v};
+        if (is_masked(f, i, uvz) || is_masked(f, j, at_j))
+            continue;
         count_pixels(f, i, uvz, f->hist[swap]);
-        count_pixels(f, j, (const float[2]){there.u, there.v}, f->hist[!swap]);
-        const double more =
-            shade_at(f->v, j, (const float[2]){there.u, there.v}) - shade_at(f->v, i, uvz);
+        count_pixels(f, j, at_j, f->hist[!swap]);
+        const double more = shade_at(f->v, j, at_j) - shade_at(f->v, i, uvz);
         f->shade += swap ? -more : more;
         f->shared++;
     }

@@ -88,8 +88,8 @@ size_t shade_fit_plan(int n_views)
 
 /* ---- observations ---- */
 
-/* log2 radiance and weight of the mean of the pixels around px (u, v); weight 0: black or
- * saturated. */
+/* log2 radiance and weight of the mean of the pixels around px (u, v); weight 0: black, saturated
+ * or masked. */
 static void sample_at(const struct fit *f, int view, const float uv[2], float x[3], float w[3])
 {
     const struct views *v = f->in->v;
@@ -108,13 +108,16 @@ static void sample_at(const struct fit *f, int view, const float uv[2], float x[
             most[c] = num_max(most[c], p[c]);
         }
     }
+    const bool masked = views_hides_any(v, view, first[0], first[1], n);
     for (int c = 0; c < 3; c++) {
         const float mean = (float)sum[c] / (float)(n * n);
         const int z = num_min((int)mean, 254);
         const float *curve = f->table.x[c] + z, share = mean - (float)z;
         x[c] = curve[0] + share * (curve[1] - curve[0]) - v->log2t[view];
         const float rough = (f->table.x[c][most[c]] - f->table.x[c][least[c]]) / ROUGH;
-        w[c] = least[c] < DARK || most[c] > LIGHT ? 0 : f->table.weight[c][z] / (1 + rough * rough);
+        w[c] = masked || least[c] < DARK || most[c] > LIGHT
+                   ? 0
+                   : f->table.weight[c][z] / (1 + rough * rough);
     }
 }
 

@@ -176,7 +176,7 @@ static void trust_table(float trust[256])
     }
 }
 
-static void make_grey(const uint8_t *rgb, struct corner_level *l)
+static void make_grey(const uint8_t *rgb, const uint8_t *masked, struct corner_level *l)
 {
     float trust[256], tone[256];
     trust_table(trust);
@@ -186,6 +186,8 @@ static void make_grey(const uint8_t *rgb, struct corner_level *l)
     for (size_t i = 0; i < px; i++, rgb += 3) {
         l->light[i] = (tone[rgb[0]] + tone[rgb[1]] + tone[rgb[2]]) / 3;
         l->weight[i] = fmaxf(fmaxf(trust[rgb[0]], trust[rgb[1]]), trust[rgb[2]]);
+        if (masked && masked[i])
+            l->light[i] = l->weight[i] = 0;
     }
 }
 
@@ -549,12 +551,12 @@ const int8_t *corner_turned(const struct corner_view *c, int k, int turn, int8_t
 
 /* ---- the whole ---- */
 
-void corner_run(const uint8_t *rgb, float *scratch, struct corner_view *out)
+void corner_run(const uint8_t *rgb, const uint8_t *masked, float *scratch, struct corner_view *out)
 {
     const int size = num_max(out->level[0].w, out->level[0].h);
     static const float share[CORNER_FOUND] = {0.40f, 0.27f, 0.19f, 0.14f};
     out->n = 0;
-    make_grey(rgb, out->level);
+    make_grey(rgb, masked, out->level);
     measure_noise(out->level, out->noise);
     build_pyramid(out, scratch);
     for (int i = 0; i < CORNER_FOUND; i++)

@@ -24,7 +24,7 @@ struct corner_level {
     int w, h;      // px
     float scale;   // px of the view in a pixel of the level
     float *light;  // (h, w) logarithm of the grey value, 0..1, smoothed
-    float *weight; // (h, w) 0 black or saturated .. 1
+    float *weight; // (h, w) 0 black, saturated or masked .. 1
 };
 
 struct corner {
@@ -62,8 +62,9 @@ const int8_t *corner_turned(const struct corner_view *c, int k, int turn, int8_t
                             int32_t *square);
 
 /* Pyramid, corners and descriptors, but those of corner_tilt. rgb: (h, w, 3).
+ * masked:  (h, w) 1: counts as black; NULL: nothing does.
  * scratch: (corner_scratch). */
-void corner_run(const uint8_t *rgb, float *scratch, struct corner_view *out);
+void corner_run(const uint8_t *rgb, const uint8_t *masked, float *scratch, struct corner_view *out);
 
 /* After corner_run: descriptors of the stretched views. */
 void corner_tilt(struct corner_view *c);

@@ -98,7 +98,8 @@ static err_t prepare_view(void *ctx, int i, int worker)
     err_t e = run_check(w->r, "matching");
     if (e)
         return e;
-    corner_run(views_rgb(w->v, i), s->rooms[worker].picture, s->views.view + i);
+    corner_run(views_rgb(w->v, i), views_masked(w->v, i), s->rooms[worker].picture,
+               s->views.view + i);
     pair_prepare(&s->views, i);
     return OK;
 }

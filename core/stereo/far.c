@@ -39,6 +39,7 @@ struct colour {
     float log2[3];
     float light; // log2 luminance
     uint8_t blown;
+    bool hidden; // masked
 };
 
 struct region {
@@ -102,9 +103,12 @@ static err_t read_view(void *ctx, int i, int worker)
     size_t n = 0;
     for (int k = 0; k < map->w * map->h; k++) {
         size_t at = (size_t)(k / map->w) * scale * (size_t)full + (size_t)(k % map->w) * scale;
-        s->colour[map->at + (size_t)k] = mean_colour(s, views_rgb(s->v, i) + 3 * at, full, shift);
-        if (s->colour[map->at + (size_t)k].blown != 7)
-            sorted[n++] = s->colour[map->at + (size_t)k].light;
+        struct colour *to = &s->colour[map->at + (size_t)k];
+        *to = mean_colour(s, views_rgb(s->v, i) + 3 * at, full, shift);
+        to->hidden = views_hides_any(s->v, i, k % map->w * s->d->scale, k / map->w * s->d->scale,
+                                     s->d->scale);
+        if (to->blown != 7 && !to->hidden)
+            sorted[n++] = to->light;
     }
     s->telling[i] = (float)n > LEAST * (float)extent_pixels(map) &&
                     log2f(s->linear[1][BLOWN]) - shift > num_quantile(sorted, n, ELSE) + TELLS;
@@ -182,6 +186,8 @@ static void count_agreement(const struct far *s, int i, struct region *regions)
                 continue;
             struct region *region = &regions[s->label[own]];
             const struct colour *mine = &s->colour[own], *other = &s->colour[at];
+            if (other->hidden)
+                continue;
             if (!is_alike(mine, other))
                 region->no +=
                     s->d->conf[at] < SWEEP_CONF_USABLE && other->light > mine->light - OCCLUDER;
@@ -246,7 +252,7 @@ static float median_brightness(const struct far *s, int i, float *sorted)
     const struct extent *map = &s->d->extent[i];
     size_t n = 0;
     for (size_t k = map->at; k < map->at + extent_pixels(map); k++)
-        if (s->label[k] < 0)
+        if (s->label[k] < 0 && !s->colour[k].hidden)
             sorted[n++] = s->colour[k].light;
     return (float)n > LEAST * (float)extent_pixels(map) ? num_quantile(sorted, n, BRIGHT)
                                                         : INFINITY;
@@ -270,7 +276,10 @@ static err_t find_regions(void *ctx, int i, int worker)
     int32_t *label = s->label + map->at;
     struct region *regions = s->region + (size_t)i * REGIONS_MAX;
     for (int k = 0; k < pixels; k++)
-        label[k] = is_smooth(s->colour + map->at, map, k % map->w, k / map->w) ? -2 : -1;
+        label[k] = !s->colour[map->at + (size_t)k].hidden &&
+                           is_smooth(s->colour + map->at, map, k % map->w, k / map->w)
+                       ? -2
+                       : -1;
     s->n_regions[i] = 0;
     for (int k = 0; k < pixels; k++) {
         if (label[k] == -2 && s->n_regions[i] == REGIONS_MAX)

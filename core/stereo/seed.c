@@ -150,7 +150,10 @@ static void add_colour(const struct seed *s, int view, const float *at, float si
     sample_range(s, at[1], side, s->in->views->extent[view].h, ry);
     float value[3] = {0}, weight[3] = {0};
     for (int i = 0; i < rx[2] * ry[2]; i++) {
-        const uint8_t *p = pixel_at(s, view, rx[0] + i % rx[2] * rx[1], ry[0] + i / rx[2] * ry[1]);
+        const int x = rx[0] + i % rx[2] * rx[1], y = ry[0] + i / rx[2] * ry[1];
+        const uint8_t *p = pixel_at(s, view, x, y);
+        if (views_hides_any(s->in->views, view, x, y, 1))
+            continue;
         for (int c = 0; c < 3; c++) {
             float w = s->weight[c][p[c]] + 1e-4f;
             value[c] += w * s->linear[c][p[c]];
@@ -162,14 +165,14 @@ static void add_colour(const struct seed *s, int view, const float *at, float si
     float stops[3] = {0};
     if (v->shade)
         shade_stops(&v->shade[view].model, shade_of(s, view, at), stops);
-    for (int c = 0; c < 3; c++) {
+    for (int c = 0; c < 3 && weight[0] > 0; c++) {
         float w = factor * weight[c] / (float)(rx[2] * ry[2]);
         sum[c][0] += w * (logf(value[c] / weight[c] + 1e-9f) - (shift + stops[c]) * 0.69314718f);
         sum[c][1] += w;
     }
 }
 
-/* Standard deviation over mean of the picture under a square, as displayed. */
+/* Standard deviation over mean of the picture under a square, as displayed, where it shows. */
 static float block_contrast(const struct seed *s, int view, const float *at, float side)
 {
     const int scale = s->in->depth->scale, n = (int)(side * (float)scale);
@@ -178,12 +181,18 @@ static float block_contrast(const struct seed *s, int view, const float *at, flo
     float top = 0.0f;
     for (int c = 0; c < 3; c++) {
         float sum = 0.0f, square = 0.0f;
+        int shown = 0;
         for (int i = 0; i < n * n; i++) {
-            float z = (float)pixel_at(s, view, x0 + i % n, y0 + i / n)[c] / 255.0f;
+            const int x = x0 + i % n, y = y0 + i / n;
+            float z = (float)pixel_at(s, view, x, y)[c] / 255.0f;
+            if (views_hides_any(s->in->views, view, x, y, 1))
+                continue;
+            shown++;
             sum += z;
             square += z * z;
         }
-        float mean = sum / (float)(n * n), var = square / (float)(n * n) - mean * mean;
+        shown = shown > 0 ? shown : 1;
+        float mean = sum / (float)shown, var = square / (float)shown - mean * mean;
         float rel = sqrtf(var > 0.0f ? var : 0.0f) / (mean + 0.1f);
         top = rel > top ? rel : top;
     }
@@ -344,7 +353,7 @@ static void emit_splat(struct seed *s, struct patch *p)
         s->full = true;
         return;
     }
-    const int i = g->n++;
+    const int i = g->n;
     float ray[3] = {(p->x - f->c[0]) / f->f[0], (p->y - f->c[1]) / f->f[1], 1.0f}, z = 1.0f / p->c;
     float axis[3][3], world[3][3], q[4], sum[3][2] = {{0}};
     float width = p->side * z / f->f[0], cosine = surface_axes(f, p, ray, axis);
@@ -359,6 +368,9 @@ static void emit_splat(struct seed *s, struct patch *p)
         sum[k][0] = SKY_PRIOR * s->sky[k][0] / s->sky[k][1];
         sum[k][1] = SKY_PRIOR;
     }
+    if (!(sum[0][1] > 0)) // all that shows it is masked
+        return;
+    g->n++;
     const float wide = far ? FAR_WIDTH * width : WIDTH * width;
     const float scale[3] = {wide / cosine, wide, THICKNESS * width};
     const float opacity = far ? FAR_OPACITY : p->sure ? 0.85f : 0.6f;
@@ -494,9 +506,12 @@ static float view_score(const struct seed *s, int view)
     const struct extent *map = &s->in->depth->extent[view];
     const int w = map->w, scale = s->in->depth->scale;
     float sum = 0.0f;
-    for (int i = 0; i < w * map->h; i++)
-        sum += s->in->depth->conf[map->at + (size_t)i] *
-               s->weight[1][pixel_at(s, view, i % w * scale, i / w * scale)[1]];
+    for (int i = 0; i < w * map->h; i++) {
+        const int x = i % w * scale, y = i / w * scale;
+        if (!views_hides_any(s->in->views, view, x, y, 1))
+            sum +=
+                s->in->depth->conf[map->at + (size_t)i] * s->weight[1][pixel_at(s, view, x, y)[1]];
+    }
     return sum;
 }
 
@@ -521,6 +536,20 @@ static void guess_depths(struct seed *s)
     }
 }
 
+/* Masked pixels need no splats. */
+static void clear_marks(struct seed *s)
+{
+    const struct depthmaps *d = s->in->depth;
+    const struct views *v = s->in->views;
+    memset(s->mark, FREE, extent_total(d->extent, v->n));
+    for (int i = 0; i < v->n && v->masked; i++) {
+        const struct extent *map = &d->extent[i];
+        for (int k = 0; k < map->w * map->h; k++)
+            if (views_hides_any(v, i, k % map->w * d->scale, k / map->w * d->scale, d->scale))
+                s->mark[map->at + (size_t)k] = COVERED | EXPLAINED;
+    }
+}
+
 /* All splats at the present loss of detail; s->full if they are too many. */
 static err_t seed_all(struct seed *s)
 {
@@ -528,7 +557,7 @@ static err_t seed_all(struct seed *s)
     const int n = s->in->views->n;
     s->out->n = 0;
     s->full = false;
-    memset(s->mark, FREE, extent_total(maps, n));
+    clear_marks(s);
     for (int i = 0; i < 2 * n && !s->full; i++) {
         const struct extent *map = &maps[s->order[i % n]];
         if (s->run->cancel && atomic_load(s->run->cancel))

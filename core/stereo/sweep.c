@@ -243,8 +243,10 @@ static err_t make_light_map(void *ctx, int i, int worker)
     const float shift = s->v->log2t[i] - s->v->mid_log2t;
     for (int k = 0; k < w * s->out->extent[i].h; k++) {
         size_t at = (size_t)(k / w) * scale * (size_t)full + (size_t)(k % w) * scale;
-        mean_light(s, views_rgb(s->v, i) + 3 * at, full, shift,
-                   s->light_map[0][i].px + 2 * (size_t)k);
+        float *px = s->light_map[0][i].px + 2 * (size_t)k;
+        mean_light(s, views_rgb(s->v, i) + 3 * at, full, shift, px);
+        if (views_hides_any(s->v, i, k % w * (int)scale, k / w * (int)scale, (int)scale))
+            px[0] = px[1] = 0;
     }
     shrink_light_map(&s->light_map[0][i], &s->light_map[1][i]);
     return OK;

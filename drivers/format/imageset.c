@@ -8,6 +8,7 @@
 #include "drivers/format/json.h"
 #include "drivers/format/layout.h"
 #include "drivers/format/llff.h"
+#include "drivers/format/masks.h"
 #include "drivers/format/name.h"
 #include "drivers/format/namelist.h"
 #include "drivers/format/pixels.h"
@@ -133,6 +134,13 @@ static void note_beside(const char *images, struct imageset *set)
             namelist_add(entry->d_name, &beside);
     closedir(d);
     add_note(&beside, "they lie beside the folder images, which alone is looked into", set);
+}
+
+static void note_masks(struct imageset *set)
+{
+    struct namelist strange = {0};
+    masks_strange(set->dir, &set->capture, &strange);
+    add_note(&strange, "in masks, but no photograph has their name", set);
 }
 
 static bool is_released(const struct capture *c)
@@ -510,6 +518,8 @@ static err_t get_sizes(const struct imageset_request *rq, struct imageset *set)
         s[i].taken_w = s[i].image.w;
         s[i].taken_h = s[i].image.h;
         e = physcam_read(path, rq->lenses, &s[i]);
+        if (!e)
+            e = masks_look(path, &s[i]);
         if (e)
             return e;
         if (s[i].again) // exposures of one place are of one camera
@@ -600,6 +610,7 @@ static err_t list_folder(const struct imageset_request *rq, struct imageset *out
         e = scan_folder(out);
     if (!e) {
         note_beside(rq->images, out);
+        note_masks(out);
         released = is_released(&out->capture);
         e = choose_times(rq, out);
     }
@@ -748,6 +759,14 @@ err_t imageset_decode16(const struct imageset *set, int i, struct image16 *out)
     *out = (struct image16){0};
     err_t e = picture_path(set, i, path);
     return e ? e : pixels_decode16(path, &set->capture.shots[i], out);
+}
+
+err_t imageset_decode_mask(const struct imageset *set, int i, struct image8 *out)
+{
+    char path[FILE_PATH_CAP];
+    *out = (struct image8){0};
+    err_t e = picture_path(set, i, path);
+    return e ? e : pixels_decode_mask(path, &set->capture.shots[i], out);
 }
 
 size_t imageset_bytes(const struct capture *c, int at_a_time)

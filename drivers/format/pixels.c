@@ -5,6 +5,7 @@
 #include "drivers/format/exrfile.h"
 #include "drivers/format/file.h"
 #include "drivers/format/imgsize.h"
+#include "drivers/format/masks.h"
 #include "drivers/format/photofile.h"
 #include "drivers/format/rawframe.h"
 
@@ -135,6 +136,28 @@ static err_t undistort_photo8(const char *path, const struct shot *s, struct ima
     err_t e = undistort_image8(NULL, &s->lens, im, &s->cam, out.px);
     img_free(im);
     *im = out;
+    return e;
+}
+
+err_t pixels_decode_mask(const char *photograph, const struct shot *s, struct image8 *out)
+{
+    char path[FILE_PATH_CAP];
+    bool found;
+    err_t e = masks_find(photograph, &found, path);
+    if (!e && !found)
+        e = err_fail(ERR_IO, "%s: its mask is gone", photograph);
+    if (!e)
+        e = img_read(path, out);
+    if (!e)
+        e = check_size(path, s, out->w, out->h);
+    for (int i = 0; i < out->w * out->h && !e; i++) {
+        uint8_t *p = out->px + 3 * (size_t)i;
+        memset(p, p[0] || p[1] || p[2] ? 255 : 0, 3);
+    }
+    if (!e && s->lens.model != LENS_PINHOLE)
+        e = undistort_photo8(path, s, out);
+    if (e)
+        img_free(out);
     return e;
 }
 

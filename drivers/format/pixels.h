@@ -19,7 +19,11 @@ MUST_USE err_t pixels_look(const char *path, struct shot *s);
  *       linear values of which more than half are above 1. On error *out is zeroed. */
 MUST_USE err_t pixels_decode(const char *path, const struct shot *s, struct image8 *out);
 
-/* The same with all bits of a deep shot.
+/* The mask (masks.h) of the shot in a file: 255 where its pixels count, 0 where that is black.
+ * own, err:  as pixels_decode. */
+MUST_USE err_t pixels_decode_mask(const char *photograph, const struct shot *s, struct image8 *out);
+
+/* Decode a deep shot with all its bits.
  * own:  pixels_free16. */
 MUST_USE err_t pixels_decode16(const char *path, const struct shot *s, struct image16 *out);
 

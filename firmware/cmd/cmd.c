@@ -313,9 +313,15 @@ static err_t decode_deep(void *ctx, int i, struct image16 *out)
     return imageset_decode16(ctx, i, out);
 }
 
+static err_t decode_mask(void *ctx, int i, struct image8 *out)
+{
+    return imageset_decode_mask(ctx, i, out);
+}
+
 struct prep_source cmd_source(struct imageset *set)
 {
-    return (struct prep_source){decode_photograph, img_free, set, decode_deep, pixels_free16};
+    return (struct prep_source){decode_photograph, img_free,      set,
+                                decode_deep,       pixels_free16, decode_mask};
 }
 
 bool cmd_fill_exposures(struct capture *c)

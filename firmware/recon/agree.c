@@ -25,6 +25,8 @@ err_t agree_views(const struct run *r, const struct views *v)
         return OK;
     sha256_init(&h);
     sha256_add(&h, v->rgb, 3 * px);
+    if (v->masked)
+        sha256_add(&h, v->masked, px);
     if (v->rgb16)
         sha256_add(&h, v->rgb16, 3 * px * sizeof *v->rgb16);
     sha256_add(&h, v->log2t, (size_t)n * sizeof *v->log2t);

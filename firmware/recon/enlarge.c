@@ -26,6 +26,12 @@ static err_t decode_chosen16(void *ctx, int i, struct image16 *out)
     return s->from->decode16(s->from->ctx, s->shot[i], out);
 }
 
+static err_t decode_chosen_mask(void *ctx, int i, struct image8 *out)
+{
+    const struct chosen *s = ctx;
+    return s->from->decode_mask(s->from->ctx, s->shot[i], out);
+}
+
 static void add_shot(const struct capture *all, const char *name, bool again, struct chosen *out)
 {
     int i = 0;
@@ -70,10 +76,13 @@ err_t enlarge_run(const struct run *r, const struct capture *c, const struct job
                   const struct recipe *recipe, struct job_result *out)
 {
     struct chosen chosen = {.from = cfg->source};
-    const struct prep_source source = {
-        decode_chosen, cfg->source ? cfg->source->release : NULL, &chosen,
-        cfg->source && cfg->source->decode16 ? decode_chosen16 : NULL,
-        cfg->source ? cfg->source->release16 : NULL};
+    const struct prep_source *from = cfg->source;
+    const struct prep_source source = {decode_chosen,
+                                       from ? from->release : NULL,
+                                       &chosen,
+                                       from && from->decode16 ? decode_chosen16 : NULL,
+                                       from ? from->release16 : NULL,
+                                       from && from->decode_mask ? decode_chosen_mask : NULL};
     struct views large;
     err_t e = choose_photographs(c, &out->views, &chosen);
     if (!e)

@@ -208,6 +208,11 @@ static void report_input(const struct job_result *j, int i, const struct figures
     report_number(rep, "clipped", in->clipped);
     report_number(rep, "dark", in->dark);
     report_number(rep, "alone", in->alone);
+    const struct job_left_out left_out = job_result_left_out(j, i, NULL);
+    if (left_out.masked > 0)
+        report_number(rep, "masked", left_out.masked);
+    if (left_out.moved > 0)
+        report_number(rep, "moved", left_out.moved);
     report_number(rep, "psnr", j->input_db ? (double)j->input_db[i] : NAN);
     report_camera(&cams[i < v->n ? i : v->place[i - v->n]], rep);
     report_open(rep, "histogram", '{');

@@ -39,6 +39,11 @@ static err_t layout_db(float **db, struct arena *keep, int n)
     return arena_alloc(keep, (size_t)n, sizeof **db, db);
 }
 
+static err_t layout_left_out(uint8_t **cells, struct arena *keep, const struct views *v)
+{
+    return arena_alloc(keep, refine_cells(v), 1, cells);
+}
+
 static bool has_same_lens(const struct shot *a, const struct shot *b)
 {
     double x[LENS_PARAMS] = {0}, y[LENS_PARAMS] = {0};
@@ -69,6 +74,33 @@ static void note_lenses(const struct capture *c, struct job_result *out)
     }
 }
 
+static bool is_masked(const struct views *v, int i)
+{
+    const size_t n = extent_pixels(&v->extent[i]);
+    return v->masked && !memchr(views_masked(v, i), 0, n);
+}
+
+/* Say which photographs are masked all over. */
+static err_t check_masks(struct job_result *out)
+{
+    const struct views *v = &out->views;
+    int n = 0, first = 0;
+    for (int i = v->n + v->n_more - 1; i >= 0; i--)
+        if (is_masked(v, i)) {
+            first = i;
+            n++;
+        }
+    if (n == v->n + v->n_more)
+        return err_fail(ERR_ARG, "masks hide all of every photograph: what is black in a mask does "
+                                 "not count, white does");
+    if (n)
+        job_result_warn(out,
+                        "%d photograph%s masked all over (%.64s): what is black in a mask does not "
+                        "count",
+                        n, n == 1 ? " is" : "s are", v->names[first]);
+    return OK;
+}
+
 /* Photographs become views; redundant exposures are dropped once there is a response. */
 static err_t read_photographs(const struct run *r, const struct capture *c, const struct start *s,
                               struct job_result *out)
@@ -78,6 +110,8 @@ static err_t read_photographs(const struct run *r, const struct capture *c, cons
     announce_stage(r, JOB_PREPROCESS);
     note_lenses(c, out);
     err_t e = prep_read(r, c, cfg->source, size, &out->views);
+    if (!e)
+        e = check_masks(out);
     if (!e)
         e = layout_db(&out->input_db, r->keep, c->n);
     for (int i = 0; i < c->n && !e; i++)
@@ -125,7 +159,9 @@ static err_t refine_scene(const struct run *r, const struct start *s, struct job
     /* a network's Gaussians have its own curve unless they were corrected */
     const bool own = s->recipe->gaussians == RECIPE_NETWORK && !start_corrects(s);
     cfg.tone_known = out->views.srgb && !own;
-    err_t e = refine_run(r, &out->views, &cfg, &out->scene, &out->refine);
+    err_t e = layout_left_out(&cfg.left_out, r->keep, &out->views);
+    if (!e)
+        e = refine_run(r, &out->views, &cfg, &out->scene, &out->refine);
     job_result_lap(out, JOB_REFINE);
     return e ? e : agree_scene(r, &out->scene, "after refinement");
 }
@@ -260,12 +296,17 @@ static void plan_steps(struct plan *p, const struct capture *c, const struct job
     start_plan(p, cfg, recipe, small, lenses_count(c));
     if (recipe->size > recipe->work)
         enlarge_plan(p, c, cfg->source, recipe);
+    uint8_t *cells;
+    if (recipe->refine && layout_left_out(&cells, &p->keep, large))
+        plan_refuse(p);
     if (recipe->refine)
         arena_step(&p->tmp, refine_plan(large, &recipe->refinement, p->threads));
     confidence_plan(p, recipe->gaussians_max);
     /* publishing renders the views */
-    arena_step(&p->tmp, arena_add(draw_plan(recipe->gaussians_max, most.w, most.h),
-                                  draw_confidence_plan(recipe->gaussians_max, most.w, most.h)));
+    size_t drawn = arena_add(draw_plan(recipe->gaussians_max, most.w, most.h),
+                             draw_confidence_plan(recipe->gaussians_max, most.w, most.h));
+    drawn = arena_add(drawn, arena_need((size_t)most.w * (size_t)most.h, 1));
+    arena_step(&p->tmp, drawn);
 }
 
 err_t job_plan(const struct capture *c, const struct job_config *cfg, int threads, bool tapped,

@@ -32,3 +32,29 @@ void job_result_warn(struct job_result *j, const char *fmt, ...)
     vsnprintf(j->warnings[j->n_warnings++], sizeof j->warnings[0], fmt, ap);
     va_end(ap);
 }
+
+/* Whether refinement left out pixel (x, y) of photograph i. */
+static bool is_left_out(const struct refine_left_out *l, int i, int x, int y)
+{
+    return l->cell &&
+           l->cell[((size_t)i * (size_t)l->across + (size_t)(y / l->px)) * (size_t)l->across +
+                   (size_t)(x / l->px)];
+}
+
+struct job_left_out job_result_left_out(const struct job_result *j, int i, uint8_t *map)
+{
+    const struct extent *px = &j->views.extent[i];
+    const size_t n = extent_pixels(px);
+    size_t masked = 0, moved = 0;
+    for (size_t k = 0; k < n; k++) {
+        const bool hidden = views_hides(&j->views, i, k);
+        const bool left_out =
+            !hidden &&
+            is_left_out(&j->refine.left_out, i, (int)(k % (size_t)px->w), (int)(k / (size_t)px->w));
+        masked += hidden;
+        moved += left_out;
+        if (map)
+            map[k] = hidden || left_out;
+    }
+    return (struct job_left_out){(double)masked / (double)n, (double)moved / (double)n};
+}

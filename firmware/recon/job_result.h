@@ -105,6 +105,13 @@ void job_result_lap(struct job_result *j, enum job_stage stage);
 /* Size of the views of a scene: as squares if all are. */
 struct prep_size job_result_size(const struct scene *s);
 
+/* Shares of photograph i that masks hide, and that refinement left out of the rest.
+ * map: (h, w) out: 1 where either; NULL: not wanted. */
+struct job_left_out {
+    double masked, moved;
+};
+struct job_left_out job_result_left_out(const struct job_result *j, int i, uint8_t *map);
+
 /* Add a sentence for the report; those beyond JOB_WARNINGS are dropped. */
 void job_result_warn(struct job_result *j, const char *fmt, ...)
     __attribute__((format(printf, 2, 3)));

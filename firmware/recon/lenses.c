@@ -168,6 +168,23 @@ static struct lens photo_lens(const struct lens *found, int turned, double scale
     return out;
 }
 
+/* Like resize_mask of prep.c: the view's own pixels are written afterwards. */
+static err_t retake_mask(const struct retake *t, int i, const struct lens *lens,
+                         const struct camera *pinhole)
+{
+    const struct shot *shot = lenses_shot(t->c, t->v->names[i]);
+    struct image8 im;
+    if (!shot->masked)
+        return OK;
+    err_t e = t->from->decode_mask(t->from->ctx, (int)(shot - t->c->shots), &im);
+    if (e)
+        return e;
+    e = undistort_image8(NULL, lens, &im, pinhole, views_rgb(t->v, i));
+    prep_mask(views_rgb(t->v, i), &t->v->extent[i], views_masked(t->v, i));
+    t->from->release(&im);
+    return e;
+}
+
 static err_t retake_view(void *ctx, int i, int worker)
 {
     const struct retake *t = ctx;
@@ -181,14 +198,6 @@ static err_t retake_view(void *ctx, int i, int worker)
     err_t e = run_check(t->r, "undistorting");
     if (e || !lenses_find(t->j, shot, &lens, &resampled))
         return e;
-    const bool deep = t->v->deep;
-    struct image16 im16;
-    if (deep)
-        e = t->from->decode16(t->from->ctx, (int)(shot - t->c->shots), &im16);
-    else if (t->from)
-        e = t->from->decode(t->from->ctx, (int)(shot - t->c->shots), &im);
-    if (e)
-        return e;
     const float focal = t->pinhole ? t->pinhole[place] : t->v->cams[place].fx;
     const struct camera pinhole = {.w = px->w,
                                    .h = px->h,
@@ -196,6 +205,16 @@ static err_t retake_view(void *ctx, int i, int worker)
                                    .fy = focal,
                                    .cx = 0.5f * (float)px->w,
                                    .cy = 0.5f * (float)px->h};
+    if (t->v->masked)
+        e = retake_mask(t, i, &lens, &pinhole);
+    const bool deep = t->v->deep;
+    struct image16 im16;
+    if (!e && deep)
+        e = t->from->decode16(t->from->ctx, (int)(shot - t->c->shots), &im16);
+    else if (!e && t->from)
+        e = t->from->decode(t->from->ctx, (int)(shot - t->c->shots), &im);
+    if (e)
+        return e;
     if (deep) {
         e = undistort_image16(NULL, &lens, &im16, &pinhole, views_rgb16(t->v, i));
         for (size_t k = 0; k < 3 * extent_pixels(px); k++)

@@ -21,9 +21,19 @@ static void halve_extents(const struct views *v, struct extent *out)
         out[i] = (struct extent){v->extent[i].w / 2, v->extent[i].h / 2, at};
 }
 
-static err_t layout(uint8_t **rgb, struct arena *tmp, const struct extent *half, int n)
+/* Pixels, and what is masked of them, which a plan does not know. */
+static err_t layout(struct views *v, struct arena *tmp, const struct extent *half)
 {
-    return arena_alloc(tmp, 3 * extent_total(half, n), sizeof **rgb, rgb);
+    const size_t pixels = extent_total(half, v->n);
+    err_t e = arena_alloc(tmp, pixels, 3, &v->rgb);
+    return e || !(v->masked || tmp->counts) ? e : arena_alloc(tmp, pixels, 1, &v->masked);
+}
+
+static void halve_mask(const struct views *from, int i, const struct views *v)
+{
+    const struct extent *px = &v->extent[i];
+    for (int k = 0; k < px->w * px->h; k++)
+        views_masked(v, i)[k] = views_hides_any(from, i, 2 * (k % px->w), 2 * (k / px->w), 2);
 }
 
 /* Means of 2 x 2 px, in tmp. half: their shapes, which *v keeps. */
@@ -34,10 +44,12 @@ static err_t halve_views(const struct run *r, struct extent *half, struct views 
     v->extent = half;
     v->size /= 2;
     v->n_more = 0;
-    err_t e = layout(&v->rgb, r->tmp, half, v->n);
+    err_t e = layout(v, r->tmp, half);
     for (int i = 0; i < v->n && !e; i++) {
         const struct extent *px = &v->extent[i];
         const size_t row = 3 * (size_t)from.extent[i].w;
+        if (v->masked)
+            halve_mask(&from, i, v);
         for (int k = 0; k < 3 * px->w * px->h; k++) {
             const size_t y = 2 * (size_t)(k / 3 / px->w), x = 2 * (size_t)(k / 3 % px->w);
             const uint8_t *p = views_rgb(&from, i) + y * row + 3 * x + k % 3;
@@ -58,7 +70,7 @@ void verify_plan(struct plan *p, const struct views *v)
         halve_extents(v, extent);
         half.extent = extent;
         half.size /= 2;
-        if (layout(&half.rgb, &p->tmp, extent, v->n))
+        if (layout(&half, &p->tmp, extent))
             plan_refuse(p);
     }
     match_plan(p, &half, 0, &tracks);

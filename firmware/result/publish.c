@@ -74,17 +74,22 @@ err_t publish_check(const struct capture *c, const struct job_config *cfg, struc
     return e ? e : outdir_reserve(o, result_bytes(&viewer, c->n));
 }
 
-/* Sum of squares of the errors of the view drawn last against its photograph, 0..1 per value. */
-static double squared_error(const struct image *display, const uint8_t *rgb)
+/* Mean of the squares of the errors of the view drawn last against its photograph i, 0..1 per
+ * value, where it is not masked; NAN if all is. */
+static double mean_square(const struct image *display, const struct views *v, int i)
 {
-    size_t pixels = (size_t)display->w * (size_t)display->h;
+    const size_t pixels = (size_t)display->w * (size_t)display->h;
+    const uint8_t *rgb = views_rgb(v, i);
     double sum = 0;
-    for (int c = 0; c < 3; c++)
-        for (size_t i = 0; i < pixels; i++) {
-            double d = display->px[(size_t)c * pixels + i] - rgb[3 * i + (size_t)c] / 255.0;
-            sum += d * d;
+    size_t n = 0;
+    for (size_t c = 0; c < 3; c++)
+        for (size_t k = 0; k < pixels; k++) {
+            double d = display->px[c * pixels + k] - rgb[3 * k + c] / 255.0;
+            const bool counts = !views_hides(v, i, k);
+            sum += counts ? d * d : 0;
+            n += counts;
         }
-    return sum;
+    return n ? sum / (double)n : NAN;
 }
 
 struct pictures {
@@ -94,8 +99,10 @@ struct pictures {
     struct report_page *sheet;
     struct draw draw;
     size_t clipped;                         // values above the largest half
-    double psnr;                            // sum over the views
+    double psnr;                            // sum over those that are not masked all over
+    int measured;                           // number of these
     struct draw_confidence confidence;      // of the view drawn last
+    uint8_t *left_out;                      // of the photograph compared last
     double pixels, confidence_sum, guesses; // of all views
 };
 
@@ -106,11 +113,16 @@ static err_t compare_photograph(struct pictures *p, int place, int i)
     const struct extent *px = &v->extent[i];
     const struct image8 photograph = {px->w, px->h, 3, views_rgb(v, i)};
     draw_display(&p->draw, v->shade ? &v->shade[place] : NULL, v->log2t[i]);
-    double mse = squared_error(&p->draw.display, photograph.px) / (3 * (double)extent_pixels(px));
-    double psnr = fmin(-10 * log10(mse), METRICS_PSNR_MAX);
-    p->psnr += psnr;
-    p->j->input_db[i] = (float)psnr;
-    const struct report_page_drawing drawing = {&p->draw.display, p->confidence.map};
+    const double mse = mean_square(&p->draw.display, v, i);
+    p->j->input_db[i] = NAN;
+    if (!isnan(mse)) {
+        const double psnr = fmin(-10 * log10(mse), METRICS_PSNR_MAX);
+        p->psnr += psnr;
+        p->measured++;
+        p->j->input_db[i] = (float)psnr;
+    }
+    job_result_left_out(p->j, i, p->left_out);
+    const struct report_page_drawing drawing = {&p->draw.display, p->confidence.map, p->left_out};
     return report_page_picture(p->sheet, i, &photograph, &drawing);
 }
 
@@ -171,6 +183,8 @@ static err_t write_views(const struct run *r, struct job_result *j, struct outdi
     if (!e)
         e = draw_confidence_init(&p.confidence, r->tmp, s->g.cap, most.w, most.h);
     if (!e)
+        e = arena_alloc(r->tmp, (size_t)most.w * (size_t)most.h, 1, &p.left_out);
+    if (!e)
         draw_confidence_set(&p.confidence, s);
     for (int i = 0; i < s->n_views && !e; i++) {
         e = write_view(&p, i);
@@ -178,7 +192,7 @@ static err_t write_views(const struct run *r, struct job_result *j, struct outdi
             r->progress(r->progress_ctx, "write", i + 1, s->n_views, NULL);
     }
     arena_reset(r->tmp, mark);
-    j->input_psnr = p.psnr / (j->views.n + j->views.n_more);
+    j->input_psnr = p.measured ? p.psnr / p.measured : NAN;
     j->confidence_mean = p.confidence_sum / p.pixels;
     j->guesses = p.guesses / p.pixels;
     if (p.clipped)

@@ -2,8 +2,8 @@
  * else but pictures in data: addresses; style; the skeleton; two blocks of JSON, pictures and
  * report; the script. In the blocks every '<' is written as an escape, so no name can end them.
  * A picture is a strip of four squares: photograph, scene, their distance averaged over the box of
- * each pixel, black over red and yellow to white at a quarter of full scale, and the confidence,
- * black to white. */
+ * each pixel, black over red and yellow to white at a quarter of full scale, or stripes where the
+ * photograph does not count, and the confidence, black to white. */
 #include "firmware/result/report_page.h"
 
 #include "firmware/result/embed.h"
@@ -22,7 +22,7 @@ EMBED_FILE(sheet_html, "firmware/web/report.html");
 EMBED_FILE(sheet_css, "firmware/web/report.css");
 EMBED_FILE(sheet_js, "firmware/web/report.js");
 
-enum { THUMB = 192, QUALITY = 70, SQUARES = 4 }; // px, longest edge
+enum { THUMB = 192, QUALITY = 70, SQUARES = 4, STRIPE = 4 }; // px, longest edge; px of a stripe
 static const double ERROR_WHITE = 0.25;
 
 uint64_t report_page_bytes(int n_pictures)
@@ -35,6 +35,7 @@ uint64_t report_page_bytes(int n_pictures)
 
 struct sums { // over the box of a thumbnail's pixel
     double photograph[3], display[3], error, sure;
+    int left_out;
 };
 
 static struct sums sum_box(const struct image8 *photograph,
@@ -47,6 +48,7 @@ static struct sums sum_box(const struct image8 *photograph,
         for (int x = box[0]; x < box[2]; x++)
             for (int c = 0; c < 3; c++) {
                 size_t at = (size_t)y * (size_t)photograph->w + (size_t)x;
+                s.left_out += drawing && drawing->left_out && drawing->left_out[at];
                 s.sure += drawing ? (double)drawing->confidence[at] / 3 : 0;
                 double z = photograph->px[3 * at + (size_t)c] / 255.0;
                 double d = display ? (double)display->px[(size_t)c * plane + at] : z;
@@ -60,6 +62,13 @@ static struct sums sum_box(const struct image8 *photograph,
 static uint8_t srgb_code(double v)
 {
     return (uint8_t)(v > 0 ? v < 1 ? v * 255 + 0.5 : 255 : 0); // a NaN is black
+}
+
+/* Diagonal stripes in place of distances, which have no blue without red and green. */
+static void put_stripe(int x, int y, uint8_t out[3])
+{
+    static const uint8_t stripe[2][3] = {{96, 144, 255}, {24, 36, 96}};
+    memcpy(out, stripe[(x + y) / STRIPE % 2], 3);
 }
 
 /* out: a pixel of each square. */
@@ -92,7 +101,10 @@ static err_t make_strip(const struct report_page *s, const struct image8 *photog
                                 (x + 1) * photograph->w / w, (y + 1) * photograph->h / h};
             struct sums sum = sum_box(photograph, drawing, box);
             uint8_t mean[SQUARES][3];
-            mean_of(&sum, (box[2] - box[0]) * (box[3] - box[1]), mean);
+            const int n = (box[2] - box[0]) * (box[3] - box[1]);
+            mean_of(&sum, n, mean);
+            if (2 * sum.left_out > 3 * n)
+                put_stripe(x, y, mean[2]);
             for (int k = 0; k < squares; k++)
                 memcpy(px + 3 * ((y * squares + k) * w + x), mean[k], 3);
         }

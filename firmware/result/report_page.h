@@ -29,11 +29,12 @@ MUST_USE err_t report_page_open(const char *path, struct report_page *s);
 struct report_page_drawing {
     const struct image *display; // (3, h, w) 0..1
     const float *confidence;     // (h, w) 0..1
+    const uint8_t *left_out;     // (h, w) 1: the photograph does not count there; NULL: all counts
 };
 
 /* Photograph `i` of report.json's "inputs", each once, in any order; beside it, if
- * drawing is not NULL, what the scene shows in its place, how far that is from it, and its
- * confidence.
+ * drawing is not NULL, what the scene shows in its place, how far that is from it, striped where
+ * it does not count, and its confidence.
  * err:  ERR_NOMEM, ERR_ARG (shape). */
 MUST_USE err_t report_page_picture(struct report_page *s, int i, const struct image8 *photograph,
                                    const struct report_page_drawing *drawing);

@@ -484,6 +484,13 @@ function advice() {
     oneMore() || "One more photograph near these would hardly prove more.");
 }
 
+function leftOut(i) {
+  const part = (key, why) => known(inputs[i][key]) &&
+    [", ", figure(`inputs.${i}.${key}`, share(inputs[i][key])), why];
+  return [part("masked", " masked"), part("moved", " left out, the others do not show it")]
+    .flatMap((p) => p || []);
+}
+
 function residuals() {
   const order = inputs.map((v, i) => i).filter((i) => known(inputs[i].psnr))
     .sort((a, b) => inputs[a].psnr - inputs[b].psnr);
@@ -494,7 +501,7 @@ function residuals() {
       .map((t) => element("span", {}, t))),
     title(inputs[i]),
     element("p", { class: "small" }, figure(`inputs.${i}.psnr`, db(inputs[i].psnr)), " at ",
-      stops(inputs[i].stops)));
+      stops(inputs[i].stops), ...leftOut(i)));
   const quality = report.quality;
   section("residuals", "Scene against photographs, worst first",
     element("p", {}, "Mean ", db(quality.ldr_input_psnr), ". ", known(quality.held_out_psnr)
@@ -502,8 +509,9 @@ function residuals() {
         ` at the start, ${db(quality.held_out_psnr)} at the end.`
       : "Nothing was held out: there was no refinement."),
     element("p", { class: "small soft" }, "Each view at its own exposure. Distance: black is " +
-      "no difference, white a quarter of full scale or more. Confidence: black is a guess, white " +
-      "is proven by photographs that see it from different places."),
+      "no difference, white a quarter of full scale or more, striped where the photograph was " +
+      "left out. Confidence: black is a guess, white is proven by photographs that see it from " +
+      "different places."),
     advice(),
     ...cards(order.map(card), 12, "cards wide"));
 }

@@ -117,6 +117,45 @@ static void test_blind(void **state)
     arena_free(&tmp);
 }
 
+/* log2 radiance by the merged picture of a place. */
+static float merged_log2(const struct views *m, const struct tonemap *curve, int i, int k)
+{
+    const float z = (float)m->rgb[i * 3 * PX + k] / 255;
+    return response_radiance_log(curve, k % 3, z, m->log2t[i]) * 1.44269504f;
+}
+
+static uint8_t masked[ALL * PX];
+
+/* What is masked in a photograph says nothing, and comes from the others. */
+static void test_masked(void **state)
+{
+    (void)state;
+    struct views m;
+    struct tonemap curve;
+    begin_places(7);
+    v.masked = memset(masked, 0, sizeof masked);
+    memset(masked + 4 * PX, 1, PX); // all of e
+    memset(masked + 3 * PX, 1, PX / 4);
+    memset(masked + 5 * PX, 1, PX / 4);
+    memset(masked + 6 * PX, 1, PX / 8);
+    memset(rgb + 3 * 4 * PX, 77, 3 * PX);
+    memset(rgb + 3 * 3 * PX, 77, 3 * PX / 4);
+    assert_int_equal(exposure_stack_choose(&run, &tone, false, &v), OK);
+    assert_names("ghcdfij"); // g in place of e
+    assert_true(!masked[PX] && masked[3 * PX] && masked[3 * PX + PX / 4 - 1] &&
+                !masked[4 * PX - 1]);
+    assert_int_equal(exposure_stack_merge(&run, &v, &tone, &m, &curve), OK);
+    for (int k = 0; k < PX; k++)
+        assert_int_equal(m.masked[k], k < PX / 8); // by all three
+    for (int k = 3 * PX / 8; k < 3 * PX; k++) {
+        float x = true_log2(k, 7);
+        assert_true(fabsf(x) > 6 || fabsf(merged_log2(&m, &curve, 0, k) - x) < 0.2f);
+    }
+    v.masked = NULL;
+    arena_reset(&tmp, 0);
+    arena_free(&tmp);
+}
+
 static void test_drop(void **state)
 {
     (void)state;
@@ -131,13 +170,6 @@ static void test_drop(void **state)
     assert_true(v.n == 2 && v.place[0] == 0 && v.place[1] == 0);
     assert_true(cams[0].w == 2 && cams[1].w == 3 && log2t[3] == 9);
     arena_free(&tmp);
-}
-
-/* log2 radiance by the merged picture of a place. */
-static float merged_log2(const struct views *m, const struct tonemap *curve, int i, int k)
-{
-    const float z = (float)m->rgb[i * 3 * PX + k] / 255;
-    return response_radiance_log(curve, k % 3, z, m->log2t[i]) * 1.44269504f;
 }
 
 static void test_picture(void **state)
@@ -222,9 +254,10 @@ static void test_single(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_choice),  cmocka_unit_test(test_staggered),
-        cmocka_unit_test(test_blind),   cmocka_unit_test(test_drop),
-        cmocka_unit_test(test_picture), cmocka_unit_test(test_beyond),
-        cmocka_unit_test(test_gap),     cmocka_unit_test(test_single)};
+        cmocka_unit_test(test_choice), cmocka_unit_test(test_staggered),
+        cmocka_unit_test(test_blind),  cmocka_unit_test(test_drop),
+        cmocka_unit_test(test_masked), cmocka_unit_test(test_picture),
+        cmocka_unit_test(test_beyond), cmocka_unit_test(test_gap),
+        cmocka_unit_test(test_single)};
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

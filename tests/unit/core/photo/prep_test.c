@@ -338,7 +338,7 @@ static void deep_shots_have_planes_of_16_bits(void **state)
     struct views now, v;
     struct arena keep, more, tmp;
     struct run r = {.keep = &more, .tmp = &tmp};
-    const struct prep_source from = {decode, release, &decoded, decode16, release16};
+    const struct prep_source from = {decode, release, &decoded, decode16, release16, NULL};
     capture_open(&c, shots);
     memcpy(bare, shots, sizeof bare);
     for (int i = 0; i < 3; i++)
@@ -360,6 +360,54 @@ static void deep_shots_have_planes_of_16_bits(void **state)
     assert_false(prep_is_deep(&later, &from));
     assert_int_equal(prep_read(&r, &later, NULL, square, &v), OK);
     assert_true(!v.deep && !v.rgb16);
+    arena_free(&keep);
+    arena_free(&more);
+    arena_free(&tmp);
+    capture_close(&c);
+}
+
+/* The left half of every shot is masked, but for shot 1. */
+static err_t decode_mask(void *ctx, int i, struct image8 *out)
+{
+    const struct image8 *in = &stored->shots[i].image;
+    ++*(int *)ctx;
+    *out = (struct image8){in->w, in->h, 3, malloc(3 * (size_t)in->w * (size_t)in->h)};
+    for (int k = 0; k < in->w * in->h; k++)
+        memset(out->px + 3 * k, k % in->w < in->w / 2 ? 0 : 255, 3);
+    return OK;
+}
+
+/* Masks are resized with the photographs; one pixel more on their border is masked. */
+static void masks_become_those_of_views(void **state)
+{
+    (void)state;
+    struct shot shots[3], bare[3];
+    struct capture c, later = {3, bare};
+    struct views now, v;
+    struct arena keep, more, tmp;
+    struct run r = {.keep = &more, .tmp = &tmp};
+    const struct prep_source from = {
+        .decode = decode, .release = release, .ctx = &decoded, .decode_mask = decode_mask};
+    decoded = released = 0;
+    capture_open(&c, shots);
+    memcpy(bare, shots, sizeof bare);
+    bare[0].masked = bare[2].masked = true;
+    stored = &c;
+    assert_int_equal(run_planned(&c, 1, &keep, &now), OK);
+    assert_null(now.masked);
+    struct plan plan = plan_begin(1);
+    prep_plan_capture(&plan, &later, &from, square);
+    assert_int_equal(arena_init(&more, "keep", plan.keep.peak), OK);
+    assert_int_equal(arena_init(&tmp, "tmp", plan.tmp.peak), OK);
+    assert_int_equal(prep_read(&r, &later, &from, square, &v), OK);
+    assert_true(decoded == 5 && released == 5);
+    assert_memory_equal(v.rgb, now.rgb, 3 * 3 * 56 * 56);
+    for (int i = 0; i < 3; i++)
+        for (int k = 0; k < 56 * 56; k++)
+            if (k % 56 < 28 || k % 56 > 30)
+                assert_int_equal(views_masked(&v, i)[k], i != 1 && k % 56 < 28);
+    assert_true(views_hides(&v, 0, 28) && views_hides_any(&v, 0, 26, 3, 3));
+    assert_false(views_hides_any(&v, 0, 31, 3, 3) || views_hides_any(&v, 1, 0, 0, 9));
     arena_free(&keep);
     arena_free(&more);
     arena_free(&tmp);
@@ -435,6 +483,7 @@ int main(void)
         cmocka_unit_test(exposures_go_behind_places),
         cmocka_unit_test(pixels_may_come_later),
         cmocka_unit_test(deep_shots_have_planes_of_16_bits),
+        cmocka_unit_test(masks_become_those_of_views),
         cmocka_unit_test(run_refuses),
         cmocka_unit_test(run_can_be_cancelled),
     };

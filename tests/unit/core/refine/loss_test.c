@@ -63,6 +63,8 @@ static bool is_held(int x, int y)
 
 static bool is_skipped(int x, int y)
 {
+    if (in.masked && in.masked[y * W + x])
+        return true;
     return in.skip && in.skip[y / in.cell_px * in.cells_across + x / in.cell_px];
 }
 
@@ -256,6 +258,38 @@ static void test_left_out(void **state)
     }
 }
 
+/* Masked pixels, also in held-out squares; they are off by nothing. */
+static void test_masked(void **state)
+{
+    (void)state;
+    enum { CELL = 4, ACROSS = (W + CELL - 1) / CELL, CELLS = ACROSS * ((H + CELL - 1) / CELL) };
+    static uint8_t masked[PX];
+    static float excess[3 * CELLS];
+    for (int i = 0; i < PX; i++)
+        masked[i] = (i / W > 8 && i / W < 20 && i % W > 5) || i % 17 == 0;
+    for (int m = next_isa(-1), first = m; m < N_MASKS; m = next_isa(m)) {
+        seed = 4;
+        open_case(masks[m]);
+        in.masked = masked;
+        in.cell_px = CELL;
+        in.cells_across = ACROSS;
+        in.excess = excess;
+        if (m == first)
+            ref_gradients();
+        assert_int_equal(loss_run(&run, &work, &in, &out), OK);
+        assert_true(fabs(out.loss - want_loss) < 1e-6);
+        compare("radiance", work.d_radiance, want_radiance, 3 * PX, STEP_RADIANCE);
+        const double sse = out.held_sse;
+        assert_true(excess[3 * ACROSS * 4 + 3] == 0); // its cell is masked all over
+        for (int i = 0; i < 3 * PX; i++)
+            photo[i] = masked[i % PX] ? (uint8_t)(photo[i] + 99) : photo[i];
+        assert_int_equal(loss_run(&run, &work, &in, &out), OK);
+        assert_true(out.held_sse == sse);
+        compare("radiance", work.d_radiance, want_radiance, 3 * PX, STEP_RADIANCE);
+        arena_free(&arena);
+    }
+}
+
 /* Two photographs of one picture: value and gradients add up. */
 static void test_shared(void **state)
 {
@@ -418,8 +452,9 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_gradients), cmocka_unit_test(test_left_out),
-        cmocka_unit_test(test_shared),    cmocka_unit_test(test_deep),
-        cmocka_unit_test(test_part),      cmocka_unit_test(test_held_out),
-        cmocka_unit_test(test_extremes),  cmocka_unit_test(test_refuses)};
+        cmocka_unit_test(test_masked),    cmocka_unit_test(test_shared),
+        cmocka_unit_test(test_deep),      cmocka_unit_test(test_part),
+        cmocka_unit_test(test_held_out),  cmocka_unit_test(test_extremes),
+        cmocka_unit_test(test_refuses)};
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -44,7 +44,7 @@ static void end_state(void *ctx)
 
 static struct refine_saver saver = {&note, begin_state, put_piece, end_state, NULL, 0};
 
-static struct refine_config config = {STEPS, 2, CAP, 5, true, false, 2, 0, &saver};
+static struct refine_config config = {STEPS, 2, CAP, 5, true, false, 2, 0, &saver, NULL};
 
 /* The wall shines; two places have five exposures, a camera is off. */
 static bool wide; // steps see parts of photographs instead

@@ -51,7 +51,7 @@ static void close_mates(int size)
     }
 }
 
-static struct refine_config config = {STEPS, 1, CAP, 5, true, false, 2, 0, NULL};
+static struct refine_config config = {STEPS, 1, CAP, 5, true, false, 2, 0, NULL, NULL};
 
 /* Of rank 0 alone. */
 static struct refine_saver *saver;

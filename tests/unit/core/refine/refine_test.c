@@ -9,7 +9,7 @@
 
 static struct refine_report refine(int steps, int degree_max, bool poses)
 {
-    struct refine_config cfg = {steps, degree_max, CAP, 5, poses, false, 2, 0, NULL};
+    struct refine_config cfg = {steps, degree_max, CAP, 5, poses, false, 2, 0, NULL, NULL};
     struct refine_report rep;
     assert_int_equal(refine_run(&W.r, &W.v, &cfg, &W.start, &rep), OK);
     assert_int_equal(arena_mark(&W.tmp), 0);
@@ -288,7 +288,7 @@ static void test_cancel(void **state)
     atomic_store(&cancel, false);
     W.r.cancel = &cancel;
     W.r.progress = cancel_later;
-    struct refine_config cfg = {500, 0, CAP, 5, false, false, 2, 0, NULL};
+    struct refine_config cfg = {500, 0, CAP, 5, false, false, 2, 0, NULL, NULL};
     struct refine_report rep;
     assert_int_equal(refine_run(&W.r, &W.v, &cfg, &W.start, &rep), ERR_CANCELLED);
     assert_true(rep.steps > 0 && rep.steps < 500);
@@ -324,7 +324,7 @@ static void test_time(void **state)
         W.r.clock = read_clock;
         round_s = cases[i].round;
         reads = 0;
-        struct refine_config cfg = {200, 0, CAP, 5, false, false, 2, cases[i].seconds, NULL};
+        struct refine_config cfg = {200, 0, CAP, 5, false, false, 2, cases[i].seconds, NULL, NULL};
         struct refine_report rep;
         assert_int_equal(refine_run(&W.r, &W.v, &cfg, &W.start, &rep), OK);
         assert_in_range(rep.steps, cases[i].least, cases[i].most);
@@ -343,7 +343,7 @@ static void test_plan(void **state)
     (void)state;
     open_world(2, 0);
     take_brackets(V);
-    struct refine_config cfg = {20, 2, CAP, 5, false, false, 2, 0, NULL};
+    struct refine_config cfg = {20, 2, CAP, 5, false, false, 2, 0, NULL, NULL};
     struct refine_report rep;
     struct arena exact;
     assert_int_equal(arena_init(&exact, "exact", refine_plan(&W.v, &cfg, 2)), OK);

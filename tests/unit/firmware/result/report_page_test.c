@@ -487,14 +487,16 @@ static void photograph_scene_distance_and_confidence(void **state)
     static float px[3 * N * N];
     static uint8_t photograph[3 * N * N];
     static float sure[N * N];
+    static uint8_t left_out[N * N];
     const struct image display = {N, N, 3, px};
-    const struct report_page_drawing drawing = {&display, sure};
+    const struct report_page_drawing drawing = {&display, sure, left_out};
     struct image8 strip;
     struct report_page s;
     for (int i = 0; i < N * N; i++) {
         photograph[3 * i] = 255;
         px[i] = i < N * N / 2 ? 0.625f : 1;
         sure[i] = i < N * N / 2 ? 0.2f : 1;
+        left_out[i] = i % N >= N / 2;
     }
     assert_int_equal(report_page_open(tmpdir_path("p.html"), &s), OK);
     assert_int_equal(report_page_picture(&s, 7, &(struct image8){N, N, 3, photograph}, &drawing),
@@ -509,6 +511,10 @@ static void photograph_scene_distance_and_confidence(void **state)
     colour_at(&strip, THUMB + 20, THUMB - 20, 255, 0, 0);
     colour_at(&strip, 2 * THUMB + 20, 20, 255, 128, 0);
     colour_at(&strip, 2 * THUMB + 20, THUMB - 20, 0, 0, 0);
+    int blue = 0;
+    for (int x = THUMB / 2 + 8; x < THUMB - 8; x++)
+        blue += strip.px[3 * (20 * strip.w + 2 * THUMB + x) + 2] > 170;
+    assert_true(blue > 20 && blue < THUMB / 2 - 16 - 20); // striped where it is left out
     colour_at(&strip, 3 * THUMB + 20, 20, 51, 51, 51);
     colour_at(&strip, 3 * THUMB + 20, THUMB - 20, 255, 255, 255);
     img_free(&strip);
@@ -521,7 +527,7 @@ static void a_photograph_alone(void **state)
     struct image8 strip;
     struct report_page s = {0};
     const struct image other = {1, 1, 3, (float[]){0, 0, 0}};
-    const struct report_page_drawing drawing = {&other, other.px};
+    const struct report_page_drawing drawing = {&other, other.px, NULL};
     memset(job.rgb, 200, sizeof job.rgb);
     assert_int_equal(
         report_page_write(tmpdir_path("s.html"), &job.result, tmpdir_text("r.json", "{}")), OK);

@@ -1,0 +1,58 @@
+#!/usr/bin/env bash
+# Masks beside photographs: what they hide changes no byte of the scene, with known cameras and with
+# cameras that are found; the report tells it; takes and other layouts; masks that fit nothing.
+. tests/e2e/common.bash
+
+# one world, empty and with somebody in it: photographs differ only where the masks are black
+world=(--seed 7 --kind room --views 5 --size 160 --samples 2)
+succeed simulate --out "$OUT/empty" "${world[@]}"
+succeed simulate --out "$OUT/passed" "${world[@]}" --moving 0.12
+small=(--model none --refine 60 --size 120)
+scene() { # set result options...
+    succeed reconstruct --images "$OUT/$1" --out "$OUT/$2" "${small[@]}" "${@:3}"
+}
+for set in empty passed; do
+    scene $set bare_$set
+    cp -r "$OUT/passed/truth/masks" "$OUT/$set/masks"
+done
+! cmp -s "$OUT/bare_empty/scene.hdrig" "$OUT/bare_passed/scene.hdrig" || fail "nobody passed"
+same_scene() { # name options...
+    for set in empty passed; do
+        scene $set "$1_$set" "${@:2}"
+    done
+    cmp "$OUT/$1_empty/scene.hdrig" "$OUT/$1_passed/scene.hdrig" ||
+        fail "$1: what masks hide is in the scene"
+}
+same_scene known
+same_scene found --rig none
+cmp -s "$OUT/known_empty/scene.hdrig" "$OUT/bare_empty/scene.hdrig" && fail "masks do nothing"
+
+# the report
+hidden=$(grep -c '"masked": 0\.1' "$OUT/known_passed/report.json")
+[ "$hidden" -ge 2 ] || fail "report.json: $hidden photographs are masked"
+! grep -q '"masked"' "$OUT/bare_passed/report.json" || fail "report.json: masked without masks"
+
+# masks of everything; names and shapes that fit no photograph
+black() { # set photograph...
+    local set=$1 name
+    for name in "${@:2}"; do
+        "$BIN/make_flat" "$OUT/$set/masks/$name" 160 0
+    done
+}
+names=("$OUT"/empty/images/train_*.png)
+names=("${names[@]##*/}")
+black empty "${names[0]}"
+succeed reconstruct --images "$OUT/empty" --out "$OUT/one" "${small[@]}"
+grep -q '1 photograph is masked all over (train_ldr_000_0.png)' "$ERR" || fail "no word of black"
+black empty "${names[@]}"
+expect 1 'masks hide all of every photograph: what is black in a mask does not count, white does' \
+    reconstruct --images "$OUT/empty" --out "$OUT/no" "${small[@]}"
+"$BIN/make_flat" "$OUT/passed/masks/stranger.png" 160 255
+succeed reconstruct --images "$OUT/passed" --out "$OUT/one" "${small[@]}"
+grep -q '1 file is not read (stranger.png): in masks, but no photograph has their name' "$ERR" ||
+    fail "no word of the stranger"
+"$BIN/make_flat" "$OUT/passed/masks/train_ldr_000_0.png" 80 255
+expect 1 'masks/train_ldr_000_0.png: 80 x 80 px, but the photograph train_ldr_000_0.png has 160' \
+    reconstruct --images "$OUT/passed" --out "$OUT/no" "${small[@]}"
+nothing_at "$OUT/no"
+finish
