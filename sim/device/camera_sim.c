@@ -1,19 +1,23 @@
 /* The view is rendered at open, and again when the file of `at` names another one: the camera has
- * moved. Every frame is that linear radiance through the sensor at the frame's true exposure; the
+ * moved. With somebody who walks by, it is rendered with him in several places, too, and frames take
+ * turns. Every frame is that linear radiance through the sensor at the frame's true exposure; the
  * frame's number chooses the noise. The name of the unit has the seed, the view at open, and the
  * family and parameter of the curve: they determine the sensor and its response. */
 #include "sim/device/camera_sim.h"
 
 #include "sim/sensor/sensor.h"
+#include "sim/world/passer.h"
 #include "sim/world/render.h"
 
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
+enum { STEPS = 5 }; // places in which somebody stands, in turn
+
 struct options {
     int64_t seed, views, view, size, samples, shadow;
-    double spread, fov, param, full_us, well, flicker, hz, line_us;
+    double spread, fov, param, full_us, well, flicker, hz, line_us, moving;
     int kind, free_hand, format, curve;
     char at[URI_TEXT];
 };
@@ -25,7 +29,7 @@ struct state {
     struct options opt;
     int size;
     uint64_t seed;
-    float *radiance; // (3, size, size)
+    float *radiance; // (1 or 1 + STEPS, 3, size, size) without and with somebody
     uint16_t *raw;
 };
 
@@ -50,6 +54,7 @@ static const struct uri_key keys[] = {
     {"flicker", AT(flicker), URI_REAL, 0, 1, NULL},
     {"hz", AT(hz), URI_REAL, 0, 1e6, NULL},
     {"line", AT(line_us), URI_REAL, 0, 1e5, NULL},
+    {"moving", AT(moving), URI_REAL, 0, PASSER_SHARE_MAX, NULL}, // share of the picture; 0: nobody
 };
 
 static const struct options defaults = {
@@ -67,6 +72,29 @@ static const struct options defaults = {
 };
 
 /* ---- rendering ---- */
+
+static size_t picture_values(const struct state *s)
+{
+    return 3 * (size_t)s->size * (size_t)s->size;
+}
+
+/* The picture again, with somebody in each of his places. */
+static err_t render_passer(const struct run *r, const struct render_world *scene,
+                           const struct camera *cam, const struct render_quality *q,
+                           struct state *s)
+{
+    const struct passer p = {s->seed, (float)s->opt.moving};
+    const size_t mark = arena_mark(r->tmp), values = picture_values(s);
+    uint8_t *mask;
+    err_t e = arena_alloc(r->tmp, values / 3, 1, &mask);
+    for (uint64_t k = 1; k <= STEPS && !e; k++) {
+        const struct passer_shot shot = {cam, q, k};
+        memcpy(s->radiance + k * values, s->radiance, values * sizeof *s->radiance);
+        e = passer_draw(r, scene, &p, &shot, s->radiance + k * values, mask);
+    }
+    arena_reset(r->tmp, mark);
+    return e;
+}
 
 static err_t render_world_view(const struct run *r, const struct options *o, struct state *s)
 {
@@ -86,6 +114,8 @@ static err_t render_world_view(const struct run *r, const struct options *o, str
     e = render_open(r, &w, &scene);
     if (!e)
         e = render_run(r, scene, &cams[o->view], &q, s->seed, &maps);
+    if (!e && o->moving > 0)
+        e = render_passer(r, scene, &cams[o->view], &q, s);
     return e;
 }
 
@@ -157,7 +187,8 @@ static err_t expose_frame(void *ctx, const struct feed_shot *f, uint8_t *px)
                                .start_s = f->start_s,
                                .seed = s->seed,
                                .frame = (uint64_t)f->number};
-    struct image radiance = {s->size, s->size, 3, s->radiance};
+    const int step = s->opt.moving > 0 ? 1 + (int)(f->number % STEPS) : 0;
+    struct image radiance = {s->size, s->size, 3, s->radiance + (size_t)step * picture_values(s)};
     struct sensor_raw raw = {s->size, s->size, s->raw};
     struct sensor dim = s->sensor, shown = s->sensor;
     struct run r = {0};
@@ -205,6 +236,9 @@ static err_t check_options(const struct options *o)
     if (o->view >= o->views)
         return err_fail(ERR_ARG, "sim: view is %d, must be 0..%d (views is %d)", (int)o->view,
                         (int)o->views - 1, (int)o->views);
+    if (o->moving > 0 && o->moving < PASSER_SHARE_MIN)
+        return err_fail(ERR_ARG, "sim: moving is %g, must be 0 or %g..%g", o->moving,
+                        PASSER_SHARE_MIN, PASSER_SHARE_MAX);
     if (o->format != SENSOR_RGB && o->size % 2)
         return err_fail(ERR_ARG, "sim: size is %d px, must be even for a Bayer format",
                         (int)o->size);
@@ -217,7 +251,7 @@ static err_t start_feed(struct state *s, const struct camera_cfg *cfg, const str
     static const enum camera_format format[] = {CAMERA_RGB8, CAMERA_RGGB16, CAMERA_BGGR16};
     set_sensor(o, s);
     size_t area = (size_t)s->size * (size_t)s->size;
-    s->radiance = malloc(3 * area * sizeof *s->radiance);
+    s->radiance = malloc((o->moving > 0 ? 1 + STEPS : 1) * 3 * area * sizeof *s->radiance);
     s->raw = malloc(3 * area * sizeof *s->raw);
     if (!s->radiance || !s->raw)
         return err_fail(ERR_NOMEM, "sim: no memory for pictures of %d px", s->size);

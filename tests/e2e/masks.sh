@@ -55,4 +55,19 @@ grep -q '1 file is not read (stranger.png): in masks, but no photograph has thei
 expect 1 'masks/train_ldr_000_0.png: 80 x 80 px, but the photograph train_ldr_000_0.png has 160' \
     reconstruct --images "$OUT/passed" --out "$OUT/no" "${small[@]}"
 nothing_at "$OUT/no"
+
+# somebody walks by while a rig captures: the take has masks and asks for another one; its scene
+# does not see what they hide
+rig=()
+for view in 0 1 2 3; do
+    rig+=(--camera
+        "sim:kind=room,seed=5,size=112,samples=1,fps=20,clock=virtual,views=4,moving=0.1,view=$view")
+done
+succeed capture "${rig[@]}" --out "$OUT/take"
+grep -q "of camera .'s picture moved between its exposures: take it again" \
+    "$OUT/take/manifest.json" || fail "manifest.json does not say that somebody moved"
+masks=("$OUT"/take/masks/train_0?_0?.png)
+at_least "masks of a take" "${#masks[@]}" 2
+succeed reconstruct --images "$OUT/take" --out "$OUT/taken" --model none --refine 0
+at_least "masked photographs" "$(grep -c '"masked"' "$OUT/taken/report.json")" 1
 finish
