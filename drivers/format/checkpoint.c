@@ -13,7 +13,6 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sys/stat.h>
-#include <zip.h>
 
 enum { PICKLE_BYTES_MAX = 32 << 20, SPREAD_MAX = 512 << 20, FOLDER_CAP = 256, STATE_DEPTH = 4 };
 
@@ -210,66 +209,25 @@ static err_t open_safetensors(struct checkpoint *c, uint64_t bytes)
 
 /* ---- PyTorch ---- */
 
-static err_t zip_fail(const struct checkpoint_part *p, const char *member, zip_error_t *z)
-{
-    err_t code = zip_error_code_zip(z) == ZIP_ER_MEMORY   ? ERR_NOMEM
-                 : zip_error_system_type(z) == ZIP_ET_SYS ? ERR_IO
-                                                          : ERR_FORMAT;
-    return err_fail(code, "%s%s%s: %s", p->path, *member ? ": " : "", member,
-                    zip_error_strerror(z));
-}
-
-/* n bytes of a member from `at` on; its checksum is compared if that is all of it. */
-static err_t read_member(const struct checkpoint_part *p, uint64_t index, uint64_t at, void *out,
-                         size_t n)
-{
-    char name[48], more;
-    snprintf(name, sizeof name, "member %ju", (uintmax_t)index);
-    zip_file_t *f = zip_fopen_index(p->zip, index, 0);
-    if (!f)
-        return zip_fail(p, name, zip_get_error(p->zip));
-    err_t e = at == 0 || zip_fseek(f, (zip_int64_t)at, SEEK_SET) == 0
-                  ? OK
-                  : zip_fail(p, name, zip_file_get_error(f));
-    for (size_t got = 0; got < n && !e;) {
-        zip_int64_t more_bytes = zip_fread(f, (char *)out + got, n - got);
-        if (more_bytes < 0)
-            e = zip_fail(p, name, zip_file_get_error(f));
-        else if (more_bytes == 0)
-            e = err_fail(ERR_FORMAT, "%s: %s ends after %zu of %zu bytes", p->path, name, got, n);
-        else
-            got += (size_t)more_bytes;
-    }
-    if (!e && zip_fread(f, &more, 1) < 0) // at the end: the checksum
-        e = zip_fail(p, name, zip_file_get_error(f));
-    zip_fclose(f);
-    return e;
-}
-
 /* Bytes of a stored member. */
 static err_t member_bytes(const struct checkpoint_part *p, uint64_t index, uint64_t *out)
 {
-    zip_stat_t st;
-    const zip_uint64_t need = ZIP_STAT_NAME | ZIP_STAT_SIZE | ZIP_STAT_COMP_SIZE |
-                              ZIP_STAT_COMP_METHOD | ZIP_STAT_ENCRYPTION_METHOD;
-    *out = 0;
-    if (zip_stat_index(p->zip, index, 0, &st) != 0)
-        return zip_fail(p, "", zip_get_error(p->zip));
-    if ((st.valid & need) != need || st.comp_method != ZIP_CM_STORE ||
-        st.encryption_method != ZIP_EM_NONE || st.size != st.comp_size)
-        return err_fail(ERR_FORMAT, "%s: %.96s is compressed or encrypted; PyTorch stores as it is",
-                        p->path, st.valid & ZIP_STAT_NAME ? st.name : "a member");
-    *out = st.size;
-    return OK;
+    struct zipfile_info info;
+    err_t e = zipfile_look(&p->zip, index, &info);
+    *out = info.bytes;
+    if (!e && !info.stored)
+        e = err_fail(ERR_FORMAT, "%s: %.96s is compressed or encrypted; PyTorch stores as it is",
+                     p->path, zipfile_name(&p->zip, index));
+    return e;
 }
 
 /* Folder of the only <folder>/data.pkl, and the member. */
 static err_t find_pickle(const struct checkpoint_part *p, char folder[FOLDER_CAP], uint64_t *index)
 {
-    zip_int64_t n = zip_get_num_entries(p->zip, 0);
+    const uint64_t n = zipfile_count(&p->zip);
     int found = 0;
-    for (zip_uint64_t i = 0; n > 0 && i < (zip_uint64_t)n; i++) {
-        const char *name = zip_get_name(p->zip, i, 0);
+    for (uint64_t i = 0; i < n; i++) {
+        const char *name = zipfile_name(&p->zip, i);
         const char *slash = name ? strchr(name, '/') : NULL;
         if (!slash || strcmp(slash, "/data.pkl") != 0 || slash - name >= FOLDER_CAP)
             continue;
@@ -286,14 +244,13 @@ static err_t find_pickle(const struct checkpoint_part *p, char folder[FOLDER_CAP
 static err_t check_order(const struct checkpoint_part *p, const char *folder)
 {
     char name[FOLDER_CAP + 16], order[8] = "";
-    uint64_t bytes;
+    uint64_t i, bytes;
     snprintf(name, sizeof name, "%s/byteorder", folder);
-    zip_int64_t i = zip_name_locate(p->zip, name, 0);
-    if (i < 0)
+    if (!zipfile_find(&p->zip, name, &i))
         return OK; // older versions have none and are little-endian
-    err_t e = member_bytes(p, (uint64_t)i, &bytes);
+    err_t e = member_bytes(p, i, &bytes);
     if (!e && bytes < sizeof order)
-        e = read_member(p, (uint64_t)i, 0, order, (size_t)bytes);
+        e = zipfile_read(&p->zip, i, 0, order, (size_t)bytes);
     if (!e && strcmp(order, "little") != 0)
         e = err_fail(ERR_FORMAT, "%s: byte order \"%s\", only little is read", p->path, order);
     return e;
@@ -367,11 +324,9 @@ static err_t get_storage(const struct unpickling *u, const struct pickle_value *
         return bad_tensor(u->part, t, "has no storage");
     set_type(t, kind);
     snprintf(name, sizeof name, "%s/data/%.*s", u->folder, (int)key->n_text, key->text);
-    zip_int64_t i = zip_name_locate(u->part->zip, name, 0);
-    if (i < 0)
+    if (!zipfile_find(&u->part->zip, name, &t->storage))
         return err_fail(ERR_FORMAT, "%s: tensor %s: the archive has no %.96s", u->part->path,
                         t->name, name);
-    t->storage = (uint64_t)i;
     err_t e = member_bytes(u->part, t->storage, &bytes);
     if (!e && t->type != CHECKPOINT_OTHER && t->room > bytes / type_bytes(t->type))
         e = err_fail(ERR_FORMAT, "%s: tensor %s: storage of %ju elements in %ju bytes",
@@ -491,30 +446,19 @@ static err_t open_zip(struct checkpoint *c)
     struct checkpoint_part *part = current_part(c);
     char folder[FOLDER_CAP];
     uint64_t index = 0, bytes = 0;
-    zip_error_t why;
-    int code;
-    part->zip = zip_open(part->path, ZIP_RDONLY, &code);
-    if (!part->zip) {
-        zip_error_init_with_code(&why, code);
-        err_t e = zip_fail(part, "", &why);
-        zip_error_fini(&why);
-        return e;
-    }
-    err_t e = find_pickle(part, folder, &index);
+    size_t n = 0;
+    void *p = NULL;
+    err_t e = zipfile_open(part->path, &part->zip);
+    if (!e)
+        e = find_pickle(part, folder, &index);
     if (!e)
         e = check_order(part, folder);
     if (!e)
         e = member_bytes(part, index, &bytes);
-    if (!e && bytes > PICKLE_BYTES_MAX)
-        e = err_fail(ERR_FORMAT, "%s: data.pkl has %ju bytes, at most %d are read", part->path,
-                     (uintmax_t)bytes, PICKLE_BYTES_MAX);
-    if (e)
-        return e;
-    void *p = malloc((size_t)bytes + 1);
-    e = p ? read_member(part, index, 0, p, (size_t)bytes)
-          : err_fail(ERR_NOMEM, "%s: no memory for %ju bytes", part->path, (uintmax_t)bytes);
     if (!e)
-        e = add_pickled(c, folder, p, (size_t)bytes);
+        e = zipfile_load(&part->zip, index, PICKLE_BYTES_MAX, &p, &n);
+    if (!e)
+        e = add_pickled(c, folder, p, n);
     free(p);
     return e;
 }
@@ -692,8 +636,7 @@ err_t checkpoint_open(const char *path, struct checkpoint *out)
 void checkpoint_close(struct checkpoint *c)
 {
     for (int i = 0; i < c->n_parts; i++) {
-        if (c->parts[i].zip)
-            zip_discard(c->parts[i].zip);
+        zipfile_close(&c->parts[i].zip);
         if (c->parts[i].file)
             fclose(c->parts[i].file);
     }
@@ -726,8 +669,8 @@ static err_t read_run(const struct checkpoint *c, const struct checkpoint_tensor
     size_t each = type_bytes(t->type);
     /* Halves are read into the upper part of out and widened from there, first to last. */
     uint8_t *raw = (uint8_t *)out + n * (sizeof *out - each);
-    err_t e = p->zip ? read_member(p, t->storage, t->offset * each, raw, n * each)
-                     : read_file(p, t->storage + t->offset * each, raw, n * each);
+    err_t e = p->zip.zip ? zipfile_read(&p->zip, t->storage, t->offset * each, raw, n * each)
+                         : read_file(p, t->storage + t->offset * each, raw, n * each);
     if (!e && each < sizeof *out)
         to_floats(t->type, raw, n, out);
     for (size_t i = 0; i < n && !e && t->negative; i++)

@@ -26,6 +26,7 @@
 
 #include "core/base/err.h"
 #include "drivers/format/file.h"
+#include "drivers/format/zipfile.h"
 
 #include <stdbool.h>
 #include <stddef.h>
@@ -54,7 +55,8 @@ struct checkpoint_tensor {
 
 struct checkpoint_part {
     char path[FILE_PATH_CAP];
-    void *zip, *file; // one of them
+    struct zipfile zip; // or:
+    void *file;
 };
 
 struct checkpoint {

@@ -2,44 +2,21 @@
  * checksums keep the first kind from getting far. */
 #include "drivers/format/checkpoint.h"
 
+#include "tests/fuzz/fuzz_zip.h"
+
 #include <stdio.h>
-#include <stdlib.h>
 #include <sys/mman.h>
 #include <unistd.h>
-#include <zip.h>
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
 
-static void add(zip_t *z, const char *name, const void *p, size_t n)
-{
-    zip_int64_t i = zip_file_add(z, name, zip_source_buffer(z, p, n, 0), 0);
-    if (i < 0 || zip_set_file_compression(z, (zip_uint64_t)i, ZIP_CM_STORE, 0) != 0)
-        abort();
-}
-
-/* The archive in memory; own: free. */
+/* own: free. */
 static void *make_archive(const uint8_t *pickle, size_t n, size_t *bytes)
 {
     static const float storage[16];
-    zip_error_t why;
-    zip_source_t *to = zip_source_buffer_create(NULL, 0, 0, &why);
-    zip_t *z = zip_open_from_source(to, ZIP_TRUNCATE, &why);
-    if (!z)
-        abort();
-    zip_source_keep(to);
-    add(z, "a/data.pkl", pickle, n);
-    add(z, "a/data/0", storage, sizeof storage);
-    if (zip_close(z) != 0 || zip_source_open(to) != 0)
-        abort();
-    zip_source_seek(to, 0, SEEK_END);
-    *bytes = (size_t)zip_source_tell(to);
-    zip_source_seek(to, 0, SEEK_SET);
-    void *p = malloc(*bytes + 1);
-    if (!p || zip_source_read(to, p, *bytes) != (zip_int64_t)*bytes)
-        abort();
-    zip_source_close(to);
-    zip_source_free(to);
-    return p;
+    const struct fuzz_member members[] = {{"a/data.pkl", pickle, n},
+                                          {"a/data/0", storage, sizeof storage}};
+    return fuzz_zip(members, 2, bytes);
 }
 
 static void read_all(const char *path)

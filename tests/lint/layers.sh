@@ -31,7 +31,7 @@ BEGIN {
     wrapper["^linux/gpio\\.h$"] = "^drivers/device/gpio\\.c$"
     wrapper["^linux/input\\.h$"] = "^drivers/device/trigger_evdev\\.c$"
     wrapper["^(zlib|zstd)\\.h$"] = "^drivers/format/compressed\\.c$"
-    wrapper["^zip\\.h$"] = "^drivers/format/checkpoint\\.c$"
+    wrapper["^zip\\.h$"] = "^drivers/format/zipfile\\.c$"
     wrapper["^microhttpd\\.h$"] = "^firmware/daemon/http\\.c$"
     wrapper["^(mosquitto|mqtt_protocol)\\.h$"] = "^drivers/net/mqtt\\.c$"
     wrapper["^qrencode\\.h$"] = "^drivers/format/qr\\.c$"
