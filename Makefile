@@ -17,7 +17,7 @@
 
 # Packages of Debian 12 and 13: to build and run, and to check.
 DEPS := gcc g++ libc6-dev make pkg-config libspng-dev libturbojpeg0-dev libexif-dev \
-	libtiff-dev libheif-dev libopenexr-dev libcjson-dev libinih-dev libzip-dev libraw-dev \
+	libtiff-dev libheif-dev libwebp-dev libopenexr-dev libcjson-dev libinih-dev libzip-dev libraw-dev \
 	libgpiod-dev libcamera-dev libmicrohttpd-dev libmosquitto-dev libcurl4-openssl-dev \
 	libqrencode-dev libsystemd-dev zlib1g-dev libzstd-dev libapriltag-dev libopenmpi-dev \
 	dpkg-dev
@@ -70,7 +70,7 @@ FLAGS = -std=c11 -D_GNU_SOURCE -I. -g -pthread $(if $(PIC),-fPIC) -MMD -MP $(OPT
 # The module alone is C++; libcamera's headers want C++20 from 0.7.1 on.
 CXXFLAGS_MODULE = -std=c++20 -I. -g -O2 -fPIC -shared -fvisibility=hidden -Wall -Wextra \
 	-Wshadow -Wundef $(if $(WERROR),-Werror) $(ROOTED) $(SANFLAGS)
-LDLIBS = -lspng -lturbojpeg -lexif -lraw_r -ltiff -lheif -lcjson -linih -lzip -lz -lzstd \
+LDLIBS = -lspng -lturbojpeg -lexif -lraw_r -ltiff -lheif -lwebp -lcjson -linih -lzip -lz -lzstd \
 	-lapriltag -lmicrohttpd -lmosquitto -lcurl -lqrencode -lsystemd -lgpiod -lm \
 	$(filter -lOpenEXRCore%,$(shell $(PKG_CONFIG) --libs OpenEXR))
 

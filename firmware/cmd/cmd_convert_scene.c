@@ -363,10 +363,10 @@ int cmd_convert_scene_run(int argc, char **argv)
     const struct cmd_usage usage = {
         .name = "convert-scene",
         .synopsis = "IN --out FILE ",
-        .what = "A scene (result folder, .hdrig, .ply, .spz, .glb; .splat and .ksplat of other\n"
-                "programs) becomes another kind of file. Tone curve and cameras go into FILE.json\n"
-                "beside .ply, .spz and .glb. Tells what the file lost: it is read back and drawn\n"
-                "at the cameras of the scene.",
+        .what = "A scene (result folder, .hdrig, .ply, .spz, .glb; of other programs .splat,\n"
+                ".ksplat, .sog and its folder) becomes another kind of file. Tone curve and\n"
+                "cameras go into FILE.json beside .ply, .spz and .glb. Tells what the file lost:\n"
+                "it is read back and drawn at the cameras of the scene.",
         .options = options,
         .n_options = sizeof options / sizeof options[0],
     };

@@ -14,21 +14,20 @@
 #include "drivers/format/ply.h"
 #include "drivers/format/scenefile.h"
 #include "drivers/format/sidecar.h"
+#include "drivers/format/sog.h"
 #include "drivers/format/spz.h"
 #include "drivers/format/spzwrite.h"
 
 #include <math.h>
 #include <string.h>
 
-enum kind { HDRIG, PLY, SPZ, GLB, SPLAT, KSPLAT, HTML, KINDS };
+enum kind { HDRIG, PLY, SPZ, GLB, SPLAT, KSPLAT, SOG, HTML, KINDS };
 static const char *const ends[KINDS] = {".hdrig", ".ply",    ".spz", ".glb",
-                                        ".splat", ".ksplat", ".html"};
+                                        ".splat", ".ksplat", ".sog", ".html"};
 
-static const struct splats_format *const formats[KINDS] = {[PLY] = &ply_format,
-                                                           [SPZ] = &spz_format,
-                                                           [GLB] = &glb_format,
-                                                           [SPLAT] = &dotsplat_format,
-                                                           [KSPLAT] = &ksplat_format};
+static const struct splats_format *const formats[KINDS] = {
+    [PLY] = &ply_format,        [SPZ] = &spz_format,       [GLB] = &glb_format,
+    [SPLAT] = &dotsplat_format, [KSPLAT] = &ksplat_format, [SOG] = &sog_format};
 
 static bool has_sidecar(enum kind kind)
 {
@@ -45,21 +44,38 @@ static err_t kind_of(const char *path, enum kind *out)
             return OK;
     }
     return err_fail(ERR_ARG,
-                    "%s: scenes are files .hdrig, .ply, .spz and .glb; .splat and .ksplat are "
-                    "read, .html is written",
+                    "%s: scenes are files .hdrig, .ply, .spz and .glb; .splat, .ksplat, .sog and "
+                    "its meta.json are read, .html is written",
                     path);
 }
 
 /* ---- reading ---- */
 
-/* The file of a result folder, or the path as it is. */
+/* The file of a folder: of a result, or of SOG that is not packed. */
+static err_t find_in_folder(const char *path, char file[FILE_PATH_CAP], enum kind *kind)
+{
+    char meta[FILE_PATH_CAP];
+    *kind = HDRIG;
+    err_t e = file_join(path, "scene.hdrig", file);
+    if (!e)
+        e = file_join(path, SOG_META, meta);
+    if (!e && !file_exists(file) && file_exists(meta)) {
+        *kind = SOG;
+        strcpy(file, meta);
+    }
+    return e;
+}
+
+/* The file of a folder, or the path as it is. */
 static err_t find_file(const char *path, char file[FILE_PATH_CAP], enum kind *kind)
 {
-    err_t e;
-    *kind = HDRIG;
+    err_t e = OK;
     if (file_is_dir(path))
-        return file_join(path, "scene.hdrig", file);
-    e = kind_of(path, kind);
+        return find_in_folder(path, file, kind);
+    if (strcmp(file_name(path), SOG_META) == 0)
+        *kind = SOG;
+    else
+        e = kind_of(path, kind);
     if (!e && *kind == HTML)
         e = err_fail(ERR_ARG, "%s: pages are written, not read", path);
     if (!e && strlen(path) >= FILE_PATH_CAP)
@@ -210,7 +226,7 @@ err_t sceneio_check_place(const char *path, bool *readable)
     enum kind kind;
     *readable = false;
     err_t e = kind_of(path, &kind);
-    if (!e && (kind == SPLAT || kind == KSPLAT))
+    if (!e && (kind == SPLAT || kind == KSPLAT || kind == SOG))
         e = err_fail(ERR_ARG, "%s: such files are read, not written", path);
     if (!e && file_is_dir(path))
         e = err_fail(ERR_ARG, "%s: a folder", path);

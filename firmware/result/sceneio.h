@@ -1,5 +1,6 @@
 /* sceneio.h - a scene in any kind of file: result folder or .hdrig, .ply, .spz, .glb, .splat,
- * .ksplat in; .hdrig, .ply, .spz, .glb, .html out. The kind follows from the name's end.
+ * .ksplat, .sog and its folder in; .hdrig, .ply, .spz, .glb, .html out. The kind follows from the
+ * name's end.
  * thread: any. */
 #ifndef RESULT_SCENEIO_H
 #define RESULT_SCENEIO_H

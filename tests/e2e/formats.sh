@@ -137,7 +137,15 @@ says 'text.ply: display colours, taken as sRGB'
 succeed convert-scene "$OUT/one.splat" --out "$OUT/out.hdrig"
 says 'one.splat: no splat is brighter than white'
 expect 2 'x.splat: such files are read, not written' convert-scene "$OUT/scene" --out x.splat
-expect 2 'x.ksplat: such files are read, not written' convert-scene "$OUT/scene" --out x.ksplat
+data=tests/data/splats
+for name in two.sog one.sog one/meta.json one level2.ksplat; do
+    succeed convert-scene $data/$name --out "$OUT/other.hdrig" --json "$OUT/other.json"
+    says "$data/$name: display colours, taken as sRGB; their exposure is not known"
+    [ "$(figure "$OUT/other.json" gaussians)" = 48 ] || fail "$name: not 48 splats"
+done
+for kind in ksplat sog; do
+    expect 2 "x.$kind: such files are read, not written" convert-scene "$OUT/scene" --out x.$kind
+done
 
 # what is no scene, and places that do not do
 for name in a.ply b.glb c.hdrig d.spz; do
@@ -146,10 +154,15 @@ for name in a.ply b.glb c.hdrig d.spz; do
     head -c 1000 /dev/urandom >"$OUT/noise.${name#*.}"
     expect 1 "noise.${name#*.}: " convert-scene "$OUT/noise.${name#*.}" --out "$OUT/none.ply"
 done
-for kind in splat ksplat; do
+for kind in splat ksplat sog; do
     head -c 5000 /dev/urandom >"$OUT/noise.$kind"
     expect 1 "noise.$kind: " convert-scene "$OUT/noise.$kind" --out "$OUT/none.ply"
 done
+head -c 9000 $data/two.sog >"$OUT/cut.sog"
+expect 1 'cut.sog: ' convert-scene "$OUT/cut.sog" --out "$OUT/none.ply"
+mkdir "$OUT/lone"
+cp $data/one/meta.json "$OUT/lone"
+expect 1 'lone/.*webp: ' convert-scene "$OUT/lone" --out "$OUT/none.ply"
 expect 1 'nowhere.ply' convert-scene "$OUT/nowhere.ply" --out "$OUT/none.ply"
 expect 1 'set/scene.hdrig' convert-scene "$OUT/set" --out "$OUT/none.ply"
 expect 1 'no/.*such' convert-scene "$OUT/scene" --out "$OUT/no/such.ply"

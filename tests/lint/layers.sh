@@ -23,6 +23,7 @@ BEGIN {
     wrapper["^tiffio\\.h$"] = "^drivers/format/tiff\\.c$"
     wrapper["^apriltag/"] = "^drivers/format/apriltags\\.c$"
     wrapper["^libheif/"] = "^drivers/format/heic\\.c$"
+    wrapper["^webp/"] = "^drivers/format/webp\\.c$"
     wrapper["^libexif/"] = "^drivers/format/img\\.c$"
     wrapper["^(OpenEXR/)?openexr"] = "^drivers/format/exrfile\\.c$"
     wrapper["^(cjson/)?cJSON\\.h$"] = "^drivers/format/json\\.c$"

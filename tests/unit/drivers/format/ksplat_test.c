@@ -1,11 +1,14 @@
-/* Files are made here as GaussianSplats3D makes them (ksplat.h has the layout). */
+/* Files of GaussianSplats3D, against the splats that it wrote them from
+ * (tests/data/splats/make.sh); and files that are made here as it makes them (ksplat.h has the
+ * layout). */
 #include "drivers/format/ksplat.h"
 
 #include "core/base/bytes.h"
 #include "core/base/half.h"
 #include "core/splat/display.h"
 
-#include <math.h>
+#include "tests/unit/drivers/format/truth.h"
+
 #include <setjmp.h>
 #include <stdarg.h>
 #include <stddef.h>
@@ -160,6 +163,27 @@ static void every_level_and_degree_is_read(void **state)
         }
 }
 
+/* Colours and opacities lose less than the last of their 8 bits. */
+static void what_its_program_wrote_is_read(void **state)
+{
+    (void)state;
+    static const struct truth_bound bounds[] = {{0, 1e-6f, 1e-6f, 0.25f, 0.11f},
+                                                {1e-4f, 1e-3f, 1e-3f, 0.25f, 0.11f},
+                                                {1e-4f, 1e-3f, 1e-3f, 0.25f, 0.11f}};
+    for (int level = 0; level < 3; level++) {
+        char path[64];
+        struct gaussians g, truth;
+        struct gaussians_report report;
+        snprintf(path, sizeof path, "tests/data/splats/level%d.ksplat", level);
+        arena_reset(&arena, 0);
+        assert_int_equal(
+            splats_read(&ply_format, "tests/data/splats/truth.ply", 1, &arena, &truth, &report),
+            OK);
+        assert_int_equal(splats_read(&ksplat_format, path, 1, &arena, &g, &report), OK);
+        assert_true(truth_holds(&truth, &g, &bounds[level]));
+    }
+}
+
 static void expect(err_t want, const char *words)
 {
     const struct splats_bytes b = {"f.ksplat", file, file_bytes};
@@ -220,6 +244,7 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(every_level_and_degree_is_read),
+        cmocka_unit_test(what_its_program_wrote_is_read),
         cmocka_unit_test(headers_that_lie_are_refused),
         cmocka_unit_test(every_cut_is_refused),
     };

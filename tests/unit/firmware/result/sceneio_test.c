@@ -73,6 +73,29 @@ static void every_kind_keeps_the_scene(void **state)
     }
 }
 
+/* A folder of SOG is found as that of a result is, whose scene comes first; its meta.json is no
+ * sidecar. */
+static void folders_of_sog_are_found(void **state)
+{
+    (void)state;
+    static const char *const places[] = {"tests/data/splats/one", "tests/data/splats/one/meta.json",
+                                         "tests/data/splats/one.sog"};
+    struct sceneio_info info;
+    bool readable;
+    for (int i = 0; i < 3; i++) {
+        assert_int_equal(sceneio_peek(places[i], &info), OK);
+        assert_true(info.n == 48 && info.degree == 2 && !info.has_hdr && !info.has_sidecar);
+        assert_true(isinf(info.headroom));
+    }
+    tmpdir_mkdir("both");
+    tmpdir_text("both/meta.json", "{}");
+    tmpdir_text("both/scene.hdrig", "");
+    assert_int_equal(sceneio_peek(tmpdir_path("both"), &info), ERR_FORMAT);
+    assert_non_null(strstr(err_text(), "scene.hdrig"));
+    assert_int_equal(sceneio_check_place(tmpdir_path("x.sog"), &readable), ERR_ARG);
+    assert_int_equal(sceneio_check_place(tmpdir_path("meta.json"), &readable), ERR_ARG);
+}
+
 static int count_files(void)
 {
     DIR *d = opendir(tmpdir_root);
@@ -255,6 +278,7 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(every_kind_keeps_the_scene),
+        cmocka_unit_test(folders_of_sog_are_found),
         cmocka_unit_test(a_failure_leaves_what_was_there),
         cmocka_unit_test(a_disk_that_ends_leaves_what_was_there),
         cmocka_unit_test(a_sidecar_tells_what_display_colours_mean),
