@@ -249,6 +249,58 @@ function record() {
   showTour();
 }
 
+/* ---- the same as pictures ---- */
+
+const CRC = Uint32Array.from({ length: 256 }, (_, n) => {
+  for (let k = 0; k < 8; k++) n = n >>> 1 ^ (n & 1 && 0xedb88320);
+  return n;
+});
+
+/* Parts of a zip archive: files, stored as they are, then its directory. Words are little-endian,
+ * as the machines of browsers are. */
+function zipped(files) {
+  const words = (...w) => new Uint16Array(w), both = (v) => [v & 65535, v >>> 16];
+  const parts = [], list = [];
+  let at = 0;
+  files.forEach(({ blob, sum }, i) => {
+    const name = `${i}.png`.padStart(9, "0"), size = both(blob.size);
+    const head = [20, 0, 0, 0, 33, ...both(sum), ...size, ...size, 9, 0]; // of 1980
+    parts.push(words(0x4b50, 0x403, ...head), name, blob);
+    list.push(words(0x4b50, 0x201, 20, ...head, 0, 0, 0, 0, 0, ...both(at)), name);
+    at += 39 + blob.size;
+  });
+  const n = files.length;
+  return [...parts, ...list, words(0x4b50, 0x605, 0, 0, n, n, ...both(55 * n), ...both(at), 0)];
+}
+
+/* 30 a second of one round, each drawn as if it stood still; those that are there when it is
+ * stopped. */
+async function recordPictures() {
+  if (info.views.length < 2) return;
+  halt();
+  if (tour.pictures) return;
+  tour.pictures = true;
+  await settled();
+  motion.ticking = true; // by the loop below instead of the clock
+  play(info.views.length);
+  const files = [], own = tour.recorder = { stop() {} };
+  showTour();
+  while (tour.recorder === own) {
+    const { step } = motion;
+    if (!step(1 / 30) && motion.step === step) motion.step = null;
+    state.moved = -1e9; // at full resolution, at once
+    await settled(true);
+    draw();
+    const blob = await new Promise((done) => canvas.toBlob(done));
+    const sum = new Uint8Array(await blob.arrayBuffer()).reduce((c, byte) =>
+      CRC[(c ^ byte) & 255] ^ c >>> 8, -1);
+    files.push({ blob, sum: ~sum });
+  }
+  motion.ticking = tour.pictures = false;
+  if (motion.step) move(motion.step); // what began meanwhile
+  save(new Blob(zipped(files), { type: "application/zip" }), "zip");
+}
+
 /* ---- what leaves the page ---- */
 
 function save(blob, ending) {
@@ -395,7 +447,8 @@ function openTools() {
   byId("record").hidden = info.views.length < 2 || !canvas.captureStream ||
     !window.MediaRecorder || !MediaRecorder.isTypeSupported("video/webm");
   byId("full").hidden = !document.fullscreenEnabled;
-  Object.assign(keys, { " ": press.play, p: savePicture, v: copyLink, u: press.unseen, x: switchBox,
+  Object.assign(keys, { " ": press.play, p: savePicture, o: recordPictures,
+    v: copyLink, u: press.unseen, x: switchBox,
     f: () => document.fullscreenEnabled && switchFull(), Enter: focusMiddle });
   for (const key of Object.keys(FLY))
     keys[key] = keys[key.toUpperCase()] = (faster) => fly(key, faster);

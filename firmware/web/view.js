@@ -190,7 +190,7 @@ function openKeys() {
     if (e.ctrlKey || e.metaKey || e.altKey || byId("guide").open) return;
     const own = e.target.matches("input, select, textarea, #divider") && /^Arrow/.test(e.key) ||
       e.target.matches("button, a, select") && /^( |Enter)$/.test(e.key);
-    if (!keys[e.key] || own || e.repeat && /^[ cfglpuvx]$/.test(e.key)) return;
+    if (!keys[e.key] || own || e.repeat && /^[ cfglopuvx]$/.test(e.key)) return;
     e.preventDefault();
     keys[e.key](e.shiftKey);
   });
@@ -367,9 +367,9 @@ function openControls() {
   openKeys();
 }
 
-/* The picture is that of the last camera, at full resolution. */
-async function settled() {
-  while (sorting.busy || scheduled || stale || state.moving || motion.step)
+/* The picture is that of the last camera, at full resolution; it is the last unless it moves. */
+async function settled(moves) {
+  while (sorting.busy || scheduled || stale || state.moving || !moves && motion.ticking)
     await new Promise((done) => setTimeout(done, 5));
 }
 

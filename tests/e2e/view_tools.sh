@@ -332,6 +332,24 @@ frames=$(ffprobe -v error -count_frames -show_entries stream=nb_read_frames -of 
 at_least "pictures of the film" "$frames" 10
 quiet "film"
 
+# Its pictures, 30 a second, until the next key: a whole round of three views has 196.
+evaluate "viewer.go(0)"
+hold o
+release o
+wait_for "document.getElementById('record').ariaPressed" true
+sleep 3
+hold o
+release o
+wait_for "document.getElementById('record').ariaPressed" false
+saved zip
+n=$("$BIN/list_zip" "$file" "$OUT/last.png") || fail "$file is damaged"
+at_least "pictures in the archive" "$n" 2
+at_least "pictures that are not there" $((195 - n)) 0
+size=$(ffprobe -v error -show_entries stream=width,height -of csv=p=0 "$OUT/last.png")
+is "[canvas.width, canvas.height].join()" "$size"
+is "[tour.on, !!tour.recorder, !!tour.pictures, motion.ticking].join()" false,false,false,false
+quiet "pictures of the film"
+
 # ---- who has no mouse ----
 
 is "Array.from(document.querySelectorAll('#tools button')).every((b) =>
