@@ -120,7 +120,7 @@ static err_t take_files(const char *where, const struct cJSON *object, int n,
 }
 
 /* Writers of 2025 began with a null, which the engine takes for the next step below the others
- * (gsplat-sog-data of playcanvas 2.9). */
+ * (gsplat-sog-data of playcanvas 2.23). */
 static err_t take_codebook(const char *where, const struct cJSON *object, float out[BYTES])
 {
     const struct cJSON *array = json_member(object, "codebook");
