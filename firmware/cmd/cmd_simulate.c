@@ -16,7 +16,8 @@
 enum { INPUTS_MAX = 32, BOARD_SIDE = BOARD_STRIDE * BOARD_PITCH_CELLS + BOARD_GAP_CELLS };
 
 struct request {
-    const char *out, *views, *kind, *spread, *orbit, *fov, *exposures, *curve, *samples, *moving;
+    const char *out, *views, *kind, *spread, *orbit, *fov, *exposures, *curve, *samples, *moving,
+        *flicker;
     const char *rig_path;
     const char *board, *tag, *distance, *before;
     struct target target;
@@ -226,7 +227,7 @@ static err_t read_scene(struct request *rq, struct dataset_request *a)
 static err_t read_request(struct request *rq, struct dataset_request *a)
 {
     int family = CURVE_FILMIC;
-    double moving = 0;
+    double moving = 0, flicker = 0;
     err_t e = read_scene(rq, a);
     if (!e)
         e = read_exposures(rq->exposures ? rq->exposures : "0.015625,0.0625,0.25,1,4", a);
@@ -234,9 +235,12 @@ static err_t read_request(struct request *rq, struct dataset_request *a)
         e = parse_choice("--curve", rq->curve, CURVE_WORDS, &family);
     if (!e)
         e = read_number("--moving", rq->moving, PASSER_SHARE_MIN, PASSER_SHARE_MAX, &moving);
+    if (!e)
+        e = read_number("--flicker", rq->flicker, 0, DATASET_FLICKER_MAX, &flicker);
     if (e)
         return e;
     a->passer = (struct passer){a->sample.seed, (float)moving};
+    a->flicker = (float)flicker;
     a->noise = !rq->noise_free;
     a->input_truth = rq->depth;
     curve_make((enum curve_family)family, NAN, a->sample.seed, &a->curve);
@@ -291,6 +295,8 @@ static err_t write_report(const struct request *rq, const struct dataset_request
     report_int(&rep, "samples", a->sample.quality.samples);
     if (rq->moving)
         report_number(&rep, "moving", (double)a->passer.share);
+    if (rq->flicker)
+        report_number(&rep, "flicker_stops", (double)a->flicker);
     report_bool(&rep, "noise", a->noise);
     report_text(&rep, "curve", rq->curve ? rq->curve : "filmic");
     return outdir_report_close(o, &rep);
@@ -385,6 +391,10 @@ int cmd_simulate_run(int argc, char **argv)
          "somebody passes by in a third of the inputs' photographs and covers that share of them, "
          "0.002..0.3; truth/masks says where",
          NULL, &rq.moving, NULL},
+        {"flicker", "STOPS",
+         "the light of each of the inputs' photographs is up to STOPS brighter or darker, 0..3; "
+         "truth/light.json says how much",
+         NULL, &rq.flicker, NULL},
         {"noise-free", NULL, "no noise", NULL, NULL, &rq.noise_free},
         {"samples", "N", "rays per pixel and axis, 1..8 (6)", NULL, &rq.samples, NULL},
         CMD_SIZE,

@@ -52,6 +52,13 @@ static bool is_taken(const struct dataset_request *a, int view, int k)
            k == a->n_exposures - 1;
 }
 
+/* A photograph of an input, by its number. */
+static bool is_input_photo(const struct dataset_request *a, int number)
+{
+    const int view = number / DATASET_EXPOSURES, k = number % DATASET_EXPOSURES;
+    return k < a->n_exposures && sample_is_input(&a->sample, view) && is_taken(a, view, k);
+}
+
 /* Whether somebody passes by in a photograph: in a third of them, drawn by the seed. */
 static bool is_passed(const struct dataset_request *a, int view, int k)
 {
@@ -61,14 +68,36 @@ static bool is_passed(const struct dataset_request *a, int view, int k)
     if (!(a->passer.share > 0) || !sample_is_input(&a->sample, view))
         return false;
     for (int i = 0; i < a->sample.n_views * DATASET_EXPOSURES; i++) {
-        const int other = i / DATASET_EXPOSURES, shot = i % DATASET_EXPOSURES;
-        if (shot >= a->n_exposures || !sample_is_input(&a->sample, other) ||
-            !is_taken(a, other, shot))
+        if (!is_input_photo(a, i))
             continue;
         n++;
         before += splitmix_mix(seed + (uint64_t)i) < own;
     }
     return before < (n + 2) / 3;
+}
+
+/* -1..1 of a photograph, by its number. */
+static double draw_light(const struct dataset_request *a, int number)
+{
+    const uint64_t seed = splitmix_mix(a->sample.seed + 2);
+    return (double)(splitmix_mix(seed + (uint64_t)number) >> 11) * 0x1p-52 - 1;
+}
+
+/* Stops of the light of a photograph beside that of the others. */
+static float light_of(const struct dataset_request *a, int view, int k)
+{
+    const int number = view * DATASET_EXPOSURES + k;
+    double sum = 0;
+    int n = 0;
+    if (!(a->flicker > 0) || !is_input_photo(a, number))
+        return 0;
+    for (int i = 0; i < a->sample.n_views * DATASET_EXPOSURES; i++) {
+        if (!is_input_photo(a, i))
+            continue;
+        n++;
+        sum += draw_light(a, i);
+    }
+    return a->flicker * (float)(draw_light(a, number) - sum / n);
 }
 
 static void picture_name(const struct sample_scene *a, int view, int k, char out[NAME_CAP])
@@ -144,6 +173,7 @@ static err_t write_mask(const struct set *s, int view, int k)
 static err_t pass_by(const struct run *r, const struct set *s, const struct sample_camera *cam,
                      int view, int k)
 {
+    const float stops[1] = {s->a->stops[k] + light_of(s->a, view, k)};
     const struct dataset_request *a = s->a;
     const struct optics *o = sample_optics(&a->sample, view);
     const struct extent *x = &s->extent[view];
@@ -159,7 +189,7 @@ static err_t pass_by(const struct run *r, const struct set *s, const struct samp
     if (!e && o && optics_dims(o))
         optics_apply(o, s->seen);
     if (!e)
-        e = sample_expose(r, &one, s->seen, 1, &a->stops[k], s->px + n * (size_t)k);
+        e = sample_expose(r, &one, s->seen, 1, stops, s->px + n * (size_t)k);
     return e ? e : write_mask(s, view, k);
 }
 
@@ -172,7 +202,10 @@ static err_t write_view(const struct run *r, const struct set *s, int view)
                                       .sensor = a->noise ? &sensor_default : NULL,
                                       .curve = &a->curve,
                                       .seed = a->sample.seed * 1000 + (uint64_t)view};
-    err_t e = sample_expose(r, &cam, seen_radiance(s, view), a->n_exposures, a->stops, s->px);
+    float stops[DATASET_EXPOSURES]; // brighter light is a longer exposure, but for dark current
+    for (int k = 0; k < a->n_exposures; k++)
+        stops[k] = a->stops[k] + light_of(a, view, k);
+    err_t e = sample_expose(r, &cam, seen_radiance(s, view), a->n_exposures, stops, s->px);
     for (int k = 0; k < a->n_exposures && !e; k++)
         if (is_taken(a, view, k) && is_passed(a, view, k))
             e = pass_by(r, s, &cam, view, k);
@@ -190,21 +223,23 @@ static err_t open_text(const struct set *s, const char *name, char path[FILE_PAT
     return e ? e : file_create(path, out);
 }
 
-static err_t write_exposures(const struct set *s)
+/* A number of each photograph that is written: its exposure, or stops of its light. */
+static err_t write_numbers(const struct set *s, const char *file, bool light)
 {
     const struct dataset_request *a = s->a;
     char path[FILE_PATH_CAP], name[NAME_CAP];
     const char *before = "{\n";
     FILE *f;
-    err_t e = open_text(s, "exposure.json", path, &f);
+    err_t e = open_text(s, file, path, &f);
     if (e)
         return e;
     for (int view = 0; view < a->sample.n_views; view++)
         for (int k = 0; k < a->n_exposures; k++) {
-            if (!is_taken(a, view, k))
+            if (!is_taken(a, view, k) || (light && !sample_is_input(&a->sample, view)))
                 continue;
             picture_name(&a->sample, view, k, name);
-            fprintf(f, "%s \"%s\": %.9g", before, name, exp2((double)a->stops[k]));
+            fprintf(f, "%s \"%s\": %.9g", before, name,
+                    light ? (double)light_of(a, view, k) : exp2((double)a->stops[k]));
             before = ",\n";
         }
     fputs("\n}\n", f);
@@ -266,7 +301,7 @@ static err_t make_folders(const struct set *s)
 {
     static const char *const names[] = {"images",   "images_hdr", "sparse",
                                         "sparse/0", "truth",      "truth/masks"};
-    const int n = s->a->passer.share > 0 ? 6 : 4;
+    const int n = s->a->passer.share > 0 ? 6 : s->a->flicker > 0 ? 5 : 4;
     char path[FILE_PATH_CAP];
     for (int i = 0; i < n; i++) {
         err_t e = file_join(s->dir, names[i], path);
@@ -280,7 +315,7 @@ static err_t make_folders(const struct set *s)
 
 /* ---- all ---- */
 
-static err_t check_exposures(const struct dataset_request *a)
+static err_t check_request(const struct dataset_request *a)
 {
     if (a->n_exposures < 1 || a->n_exposures > DATASET_EXPOSURES)
         return err_fail(ERR_ARG, "data set: %d exposures, allowed are 1 to %d", a->n_exposures,
@@ -289,7 +324,10 @@ static err_t check_exposures(const struct dataset_request *a)
         if (!(fabsf(a->stops[k]) <= 40))
             return err_fail(ERR_ARG, "data set: exposure of 2^%g, allowed are 2^-40 to 2^40",
                             (double)a->stops[k]);
-    return OK;
+    return a->flicker >= 0 && (double)a->flicker <= DATASET_FLICKER_MAX
+               ? OK
+               : err_fail(ERR_ARG, "data set: flicker of %g stops, allowed are 0 to %g",
+                          (double)a->flicker, DATASET_FLICKER_MAX);
 }
 
 static err_t alloc_set(struct arena *keep, struct set *s)
@@ -324,7 +362,7 @@ err_t dataset_write(const struct run *r, const struct dataset_request *a, const 
 {
     struct set s = {.a = a, .dir = dir};
     const size_t mark = arena_mark(r->keep), scratch = arena_mark(r->tmp);
-    err_t e = check_exposures(a);
+    err_t e = check_request(a);
     sample_extents(&a->sample, s.extent);
     if (!e)
         e = make_folders(&s);
@@ -340,7 +378,9 @@ err_t dataset_write(const struct run *r, const struct dataset_request *a, const 
             r->progress(r->progress_ctx, "write", view + 1, a->sample.n_views, NULL);
     }
     if (!e)
-        e = write_exposures(&s);
+        e = write_numbers(&s, "exposure.json", false);
+    if (!e && a->flicker > 0)
+        e = write_numbers(&s, "truth/light.json", true);
     if (!e)
         e = write_images(&s);
     if (!e)

@@ -9,6 +9,8 @@
 
 enum { DATASET_EXPOSURES = 8 };
 
+#define DATASET_FLICKER_MAX 3.0 // stops
+
 struct dataset_request {
     struct sample_scene sample;     // n_views counts all cameras: 2 * inputs - 1, or a walk
     int n_exposures;                // 1..DATASET_EXPOSURES
@@ -17,6 +19,8 @@ struct dataset_request {
     bool input_truth;               // radiance and depth of inputs, too
     struct curve curve;
     struct passer passer; // in a third of the photographs of inputs; share 0: nobody
+    float
+        flicker; // 0..DATASET_FLICKER_MAX stops: the light of each of these photographs is another
 };
 
 /* Photograph the world into the folder `dir`, which exists. Inputs (sample_is_input) are
@@ -27,6 +31,8 @@ struct dataset_request {
  *   exposure.json (2^stops), sparse/0 (COLMAP text, a camera for each of the optics)
  *   with a passer-by, truth/masks/train_ldr_VVV_E.png of photographs that it is in: 0 where it is,
  *   255 elsewhere
+ *   with flicker, truth/light.json: stops of the light of each photograph of an input, drawn evenly
+ *   from -flicker..flicker, less their mean: that is no flicker but light
  * Of several cameras, the EXIF data of a picture name the one that took it. Radiance is that before
  * optics dim it.
  * err:  ERR_ARG, ERR_NOMEM (see dataset_plan), those of writing, ERR_CANCELLED. */

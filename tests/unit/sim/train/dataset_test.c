@@ -1,4 +1,5 @@
-/* Data sets with somebody who passes by: nothing else changes, and masks say where. */
+/* Data sets with somebody who passes by, or with light that flickers: nothing else changes, and
+ * truth/ says where and how much. */
 #include "sim/train/dataset.h"
 
 #include "core/base/pool.h"
@@ -13,7 +14,8 @@
 
 enum { INPUTS = 6, SHOTS = 3, SIZE = 64 };
 
-static err_t write_set(const char *name, float share, const struct optics *optics, int threads)
+static err_t write_lit(const char *name, float share, float flicker, const struct optics *optics,
+                       int threads)
 {
     struct dataset_request a = {.sample = {.seed = 5,
                                            .kind = WORLD_ROOM,
@@ -27,7 +29,8 @@ static err_t write_set(const char *name, float share, const struct optics *optic
                                 .n_exposures = 4,
                                 .stops = {-4, -2, 0, 2},
                                 .noise = true,
-                                .passer = {7, share}};
+                                .passer = {7, share},
+                                .flicker = flicker};
     struct arena keep, tmp;
     struct pool *pool = NULL;
     struct plan p = plan_begin(threads);
@@ -43,6 +46,11 @@ static err_t write_set(const char *name, float share, const struct optics *optic
     arena_free(&keep);
     arena_free(&tmp);
     return e;
+}
+
+static err_t write_set(const char *name, float share, const struct optics *optics, int threads)
+{
+    return write_lit(name, share, 0, optics, threads);
 }
 
 static const char *in_set(const char *set, const char *folder, const char *name)
@@ -131,6 +139,50 @@ static void behind_a_lens(void **state)
     assert_true(passed > 0);
 }
 
+static double mean_of(const char *set, const char *name)
+{
+    struct image8 im;
+    double sum = 0;
+    assert_int_equal(img_read(in_set(set, "images", name), &im), OK);
+    for (int i = 0; i < 3 * SIZE * SIZE; i++)
+        sum += im.px[i];
+    img_free(&im);
+    return sum / (3 * SIZE * SIZE);
+}
+
+/* Photographs are as much brighter as the file says, in the mean not at all; what is held out
+ * stays. */
+static void light_flickers(void **state)
+{
+    char name[NAME_CAP];
+    double sum = 0, most = 0, stops, inside = 0;
+    int n = 0;
+    (void)state;
+    tmpdir_remove();
+    tmpdir_make();
+    assert_int_equal(write_set("without", 0, NULL, 1), OK);
+    assert_int_equal(write_lit("flicker", 0, 0.5f, NULL, 2), OK);
+    FILE *f = fopen(tmpdir_path("flicker/truth/light.json"), "r");
+    assert_non_null(f);
+    while (fscanf(f, "%*[^\"]\"%127[^\"]\": %lf", name, &stops) == 2) {
+        const double more = mean_of("flicker", name) - mean_of("without", name);
+        assert_true(fabs(stops) < 0.03 || (more > 0) == (stops > 0));
+        sum += stops;
+        most = fmax(most, fabs(stops));
+        n++;
+    }
+    fclose(f);
+    assert_int_equal(n, INPUTS * SHOTS);
+    assert_float_equal(sum, 0, 1e-4);
+    assert_true(most > 0.35 && most < 0.7);
+    for (int i = 0; i < INPUTS - 1; i++) {
+        snprintf(name, sizeof name, "test_ldr_%03d_1.png", i);
+        assert_true(compare_photographs("flicker", name, &inside) == 0);
+    }
+    assert_int_equal(write_lit("dark", 0, 3.1f, NULL, 1), ERR_ARG);
+    assert_non_null(strstr(err_text(), "flicker"));
+}
+
 static void wrong_shares(void **state)
 {
     (void)state;
@@ -141,8 +193,8 @@ static void wrong_shares(void **state)
 
 int main(void)
 {
-    const struct CMUnitTest tests[] = {cmocka_unit_test(others_stay),
-                                       cmocka_unit_test(behind_a_lens),
-                                       cmocka_unit_test(wrong_shares)};
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(others_stay), cmocka_unit_test(behind_a_lens),
+        cmocka_unit_test(light_flickers), cmocka_unit_test(wrong_shares)};
     return cmocka_run_group_tests(tests, tmpdir_setup, tmpdir_teardown);
 }
