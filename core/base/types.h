@@ -121,10 +121,12 @@ struct views {
     uint16_t *rgb16;         // the pictures in 16 bits, 65535 is 1; NULL: only in 8
     uint8_t *masked;         // (n + n_more) pictures (h, w), 1: the pixel shows nothing of the
                              // scene, and its value changes nothing; NULL: none does
-    float *log2t;        // (n + n_more) log2(max(t, 1e-8))
-    float mid_log2t;     // (min + max) / 2 of log2t of all photographs
-    bool srgb;           // the response is known to be that of sRGB, white at 1
-    struct camera *cams; // (n) for the extents; NULL if not known
+    float *log2t;            // (n + n_more) log2(max(t, 1e-8)), and drift
+    const float *drift;      // (n + n_more) stops in log2t by which the light was brighter than in
+                             // the others; NULL: it was alike
+    float mid_log2t;         // (min + max) / 2 of log2t of all photographs
+    bool srgb;               // the response is known to be that of sRGB, white at 1
+    struct camera *cams;     // (n) for the extents; NULL if not known
     int n_more;
     int *place;                // (n_more) of photograph n + i, ascending
     const struct shade *shade; // (n) core/photo/shade.h; NULL: all cameras show light alike
@@ -159,6 +161,12 @@ static inline bool views_hides_any(const struct views *v, int i, int x, int y, i
         if (views_hides(v, i, (size_t)(y + k / n) * (size_t)v->extent[i].w + (size_t)(x + k % n)))
             return true;
     return false;
+}
+
+/* The exposure as it was set. */
+static inline float views_set_log2t(const struct views *v, int i)
+{
+    return v->drift ? v->log2t[i] - v->drift[i] : v->log2t[i];
 }
 
 /* The photograph of this place after photograph `last` (its first one is `place`); -1: none. */

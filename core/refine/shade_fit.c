@@ -31,11 +31,15 @@ enum {
 #define GAIN_LEAST 1e-5 // stops^2 of the mean squared error, of a gain that matters
 #define PRIOR 0.1       // weight of "no effect", in observations a stop wrong
 #define MAD 1.4826
-#define SMOOTH 0.1f // weight of observations that the spread is measured with
-#define ROUGH 0.1f  // stops across a square, of those that a slight shift changes little
+#define DRIFT_PRIOR 0.1  // the same of light: 0.3 stops are expected, and errors of 0.1
+#define DRIFT_LEAST 0.03 // stops, root mean square: less may be the curve's error
+#define APART 0.25       // stops, exposures that differ
+#define SMOOTH 0.1f      // weight of observations that the spread is measured with
+#define ROUGH 0.1f       // stops across a square, of those that a slight shift changes little
 
 struct observation {
     float r2[2], d[3], w[3]; // of views i and j; log2 radiance in i less that in j; weights
+    uint16_t view[2];
     uint8_t camera[2];
     bool held;
     int block; // square of view i
@@ -52,7 +56,9 @@ struct fit {
     double *whole; // (PARAMS^2) normal equations, lower triangle
     double *part;  // (PARAMS^2) of the active ones
     double right[PARAMS], x[PARAMS];
+    double *drift, *sum; // (n) stops of the views; scratch
     bool active[PARAMS];
+    bool drifts; // light is fitted
     int params;
     double gate; // largest error of an inlier, stops
 };
@@ -66,6 +72,7 @@ static err_t layout(struct fit *f, struct arena *tmp, int n_views)
 {
     f->cap = pairs_of(n_views) * EACH;
     const size_t cap = (size_t)num_max(f->cap, 1);
+    const size_t most = (size_t)num_max(num_min(n_views, SHADE_FIT_PLACES), PARAMS);
     err_t e = visibility_layout(&f->visibility, tmp, n_views);
     if (!e)
         e = arena_alloc(tmp, cap, sizeof *f->seen, &f->seen);
@@ -75,7 +82,11 @@ static err_t layout(struct fit *f, struct arena *tmp, int n_views)
         e = arena_alloc(tmp, (size_t)n_views * BLOCKS * BLOCKS, sizeof *f->gain, &f->gain);
     if (!e)
         e = arena_alloc(tmp, (size_t)PARAMS * PARAMS, sizeof *f->whole, &f->whole);
-    return e ? e : arena_alloc(tmp, (size_t)PARAMS * PARAMS, sizeof *f->part, &f->part);
+    if (!e)
+        e = arena_zalloc(tmp, (size_t)n_views, sizeof *f->drift, &f->drift);
+    if (!e)
+        e = arena_alloc(tmp, (size_t)n_views, sizeof *f->sum, &f->sum);
+    return e ? e : arena_alloc(tmp, most * most, sizeof *f->part, &f->part);
 }
 
 size_t shade_fit_plan(int n_views)
@@ -113,7 +124,7 @@ static void sample_at(const struct fit *f, int view, const float uv[2], float x[
         const float mean = (float)sum[c] / (float)(n * n);
         const int z = num_min((int)mean, 254);
         const float *curve = f->table.x[c] + z, share = mean - (float)z;
-        x[c] = curve[0] + share * (curve[1] - curve[0]) - v->log2t[view];
+        x[c] = curve[0] + share * (curve[1] - curve[0]) - views_set_log2t(v, view);
         const float rough = (f->table.x[c][most[c]] - f->table.x[c][least[c]]) / ROUGH;
         w[c] = masked || least[c] < DARK || most[c] > LIGHT
                    ? 0
@@ -149,10 +160,12 @@ static void add_observation(struct fit *f, int i, int j, const float uvz[3])
     }
     if (!(any > 0))
         return;
-    s->r2[0] = shade_r2(&f->in->shade[i], at[0][0], at[0][1]);
-    s->r2[1] = shade_r2(&f->in->shade[j], at[1][0], at[1][1]);
-    s->camera[0] = (uint8_t)f->in->camera[i];
-    s->camera[1] = (uint8_t)f->in->camera[j];
+    for (int k = 0; k < 2; k++) {
+        const int view = k ? j : i;
+        s->view[k] = (uint16_t)view;
+        s->camera[k] = f->in->n_cameras ? (uint8_t)f->in->camera[view] : 0;
+        s->r2[k] = f->in->n_cameras ? shade_r2(&f->in->shade[view], at[k][0], at[k][1]) : 0;
+    }
     s->block = (i * BLOCKS + num_min((int)(at[0][1] * BLOCKS), BLOCKS - 1)) * BLOCKS +
                num_min((int)(at[0][0] * BLOCKS), BLOCKS - 1);
     s->held = is_held(s->block);
@@ -204,11 +217,17 @@ static void add_row(const struct observation *s, int view, int c, int index[OWN]
     }
 }
 
+/* The difference but for the light of the photographs. */
+static double even_difference(const struct fit *f, const struct observation *s, int c)
+{
+    return (double)s->d[c] - f->drift[s->view[0]] + f->drift[s->view[1]];
+}
+
 static double log_residual(const struct fit *f, const struct observation *s, int c)
 {
     int index[OWN];
-    double factor[OWN], e = (double)s->d[c];
-    for (int view = 0; view < 2; view++) {
+    double factor[OWN], e = even_difference(f, s, c);
+    for (int view = 0; view < 2 && f->params; view++) {
         add_row(s, view, c, index, factor);
         for (int k = 0; k < OWN; k++)
             e -= factor[k] * f->x[index[k]];
@@ -230,20 +249,29 @@ static void add_equation(struct fit *f, const int *index, const double *row, int
         f->right[index[a]] += wd[0] * row[a] * wd[1];
 }
 
-/* Normal equations with the present weights. held: also of what is left out. scale: stops. */
+/* With its present error. held: what is left out counts, too. scale: stops. */
+static double weight_of(const struct fit *f, int i, bool held, double scale)
+{
+    const struct observation *s = &f->seen[i / 3];
+    if (s->w[i % 3] <= 0 || (s->held && !held))
+        return 0;
+    const double off = log_residual(f, s, i % 3) / scale, near = 1 / (1 + off * off);
+    return (double)s->w[i % 3] * near * near;
+}
+
+/* Normal equations with the present weights. */
 static void accumulate_normal(struct fit *f, bool held, double scale)
 {
     const size_t n = (size_t)f->params;
     memset(f->whole, 0, n * n * sizeof *f->whole);
     memset(f->right, 0, sizeof f->right);
-    for (int i = 0; i < 3 * f->n; i++) {
+    for (int i = 0; i < 3 * f->n && n; i++) {
         const struct observation *s = &f->seen[i / 3];
         int index[2 * OWN], terms = 2 * OWN;
         double row[2 * OWN];
-        if (s->w[i % 3] <= 0 || (s->held && !held))
+        const double wd[2] = {weight_of(f, i, held, scale), even_difference(f, s, i % 3)};
+        if (!(wd[0] > 0))
             continue;
-        const double off = log_residual(f, s, i % 3) / scale, near = 1 / (1 + off * off);
-        const double wd[2] = {(double)s->w[i % 3] * near * near, (double)s->d[i % 3]};
         add_row(s, 0, i % 3, index, row);
         add_row(s, 1, i % 3, index + OWN, row + OWN);
         for (int a = 0; a < OWN && s->camera[0] == s->camera[1]; a++) {
@@ -290,11 +318,73 @@ static double residual_spread(struct fit *f)
     return fmax(MAD * (double)num_median(f->error, n), 1e-3);
 }
 
+/* Into the gauge. */
+static void centre_drift(struct fit *f)
+{
+    const struct views *v = f->in->v;
+    double mean = 0, middle = 0, xx = 0, xy = 0;
+    for (int i = 0; i < v->n; i++) {
+        mean += f->drift[i] / v->n;
+        middle += (double)views_set_log2t(v, i) / v->n;
+    }
+    for (int i = 0; i < v->n; i++) {
+        const double x = (double)views_set_log2t(v, i) - middle;
+        xx += x * x;
+        xy += x * f->drift[i];
+    }
+    const double slope = !f->in->tone_known && xx > v->n * APART * APART ? xy / xx : 0;
+    for (int i = 0; i < v->n; i++) {
+        const double x = (double)views_set_log2t(v, i) - middle;
+        f->drift[i] -= mean + slope * x;
+    }
+}
+
+static void bound_drift(struct fit *f, float *stops)
+{
+    for (int i = 0; i < f->in->v->n; i++) {
+        f->drift[i] = fmin(fmax(f->drift[i], -SHADE_FIT_DRIFT_MOST), SHADE_FIT_DRIFT_MOST);
+        stops[i] = (float)f->drift[i];
+    }
+}
+
+/* The light of each photograph, the other terms as they are. */
+static void fit_drift(struct fit *f, bool held, double scale)
+{
+    const size_t n = (size_t)f->in->v->n;
+    double *x = f->sum;
+    memset(f->part, 0, n * n * sizeof *f->part);
+    memset(x, 0, n * sizeof *x);
+    for (int i = 0; i < 3 * f->n; i++) {
+        const struct observation *s = &f->seen[i / 3];
+        const double w = weight_of(f, i, held, scale);
+        const size_t a = s->view[0], b = s->view[1];
+        const double d = log_residual(f, s, i % 3) + f->drift[a] - f->drift[b];
+        f->part[a * n + a] += w;
+        f->part[b * n + b] += w;
+        f->part[a > b ? a * n + b : b * n + a] -= w;
+        x[a] += w * d;
+        x[b] -= w * d;
+    }
+    for (size_t a = 0; a < n; a++)
+        for (size_t b = 0; b <= a; b++)
+            f->part[a * n + b] += (a == b ? DRIFT_PRIOR : 0) + f->n;
+    if (!lin_cholesky(f->part, (int)n))
+        return;
+    lin_solve(f->part, (int)n, x);
+    memcpy(f->drift, x, n * sizeof *x);
+    centre_drift(f);
+}
+
 static void fit_terms(struct fit *f, bool held)
 {
     for (int k = 0; k < ROUNDS; k++) {
-        accumulate_normal(f, held, 2 * residual_spread(f));
+        double scale = 2 * residual_spread(f);
+        if (f->drifts) // at first all photographs count, also one in much brighter light
+            scale = fmax(scale, ldexp(SHADE_FIT_DRIFT_MOST, -k));
+        accumulate_normal(f, held, scale);
         solve_step(f);
+        if (f->drifts)
+            fit_drift(f, held, scale);
     }
 }
 
@@ -337,22 +427,11 @@ static void add_errors(struct fit *f, int camera, double sign)
     }
 }
 
-/* Whether the solution without some terms is clearly worse than the one with them; the squares are
- * what varies. */
-static bool is_needed(struct fit *f, int camera, const bool without[PARAMS], double *error)
+/* Whether the errors that were added say that something is needed; the squares are what varies. */
+static bool is_clear(const struct fit *f, int camera)
 {
     const int blocks = f->in->v->n * BLOCKS * BLOCKS;
-    bool with[PARAMS];
     double sum = 0, square = 0, all = 0;
-    int count;
-    memcpy(with, f->active, sizeof with);
-    memset(f->gain, 0, (size_t)blocks * sizeof *f->gain);
-    solve_step(f);
-    add_errors(f, camera, -1);
-    memcpy(f->active, without, sizeof with);
-    solve_step(f);
-    add_errors(f, camera, 1);
-    *error = sqrt(held_error(f, camera, &count));
     for (int i = 0; i < 3 * f->n; i++) {
         const struct observation *s = &f->seen[i / 3];
         if (s->held && s->w[i % 3] > 0 && is_of_camera(s, camera))
@@ -362,8 +441,58 @@ static bool is_needed(struct fit *f, int camera, const bool without[PARAMS], dou
         sum += f->gain[b];
         square += f->gain[b] * f->gain[b];
     }
-    memcpy(f->active, with, sizeof with);
     return sum > SURE * sqrt(square) && sum > GAIN_LEAST * all;
+}
+
+static void clear_errors(struct fit *f)
+{
+    memset(f->gain, 0, (size_t)(f->in->v->n * BLOCKS * BLOCKS) * sizeof *f->gain);
+}
+
+/* Whether the solution without some terms is clearly worse than the one with them. */
+static bool is_needed(struct fit *f, int camera, const bool without[PARAMS], double *error)
+{
+    bool with[PARAMS];
+    int count;
+    memcpy(with, f->active, sizeof with);
+    clear_errors(f);
+    solve_step(f);
+    add_errors(f, camera, -1);
+    memcpy(f->active, without, sizeof with);
+    solve_step(f);
+    add_errors(f, camera, 1);
+    *error = sqrt(held_error(f, camera, &count));
+    memcpy(f->active, with, sizeof with);
+    return is_clear(f, camera);
+}
+
+/* Fit all terms with the light of the photographs, or without it where that does as well. */
+static void choose_drift(struct fit *f, struct shade_fit_drift *out)
+{
+    const size_t n = (size_t)f->in->v->n;
+    double square = 0;
+    f->drifts = true;
+    fit_terms(f, false);
+    bound_drift(f, out->stops);
+    f->gate = 3 * residual_spread(f);
+    out->error = sqrt(held_error(f, -1, &out->held));
+    clear_errors(f);
+    add_errors(f, -1, -1);
+    for (size_t i = 0; i < n; i++)
+        square += f->drift[i] * f->drift[i];
+    f->drifts = false;
+    memset(f->drift, 0, n * sizeof *f->drift);
+    memset(f->x, 0, sizeof f->x);
+    fit_terms(f, false);
+    add_errors(f, -1, 1);
+    out->error_before = sqrt(held_error(f, -1, &out->held));
+    out->kept = is_clear(f, -1) && square > (double)n * DRIFT_LEAST * DRIFT_LEAST;
+    if (!out->kept)
+        return;
+    f->drifts = true;
+    for (size_t i = 0; i < n; i++)
+        f->drift[i] = (double)out->stops[i];
+    fit_terms(f, false);
 }
 
 /* Take a term away, of one camera or of all (-1), if it is not needed. */
@@ -415,13 +544,16 @@ static void take_models(const struct fit *f, struct shade_fit_camera *out)
     }
 }
 
-static void choose_terms(struct fit *f, struct shade_fit_camera *out)
+static void choose_terms(struct fit *f, struct shade_fit_camera *out, struct shade_fit_drift *drift)
 {
     const int cameras = f->in->n_cameras;
     f->params = OWN * cameras;
     for (int k = 0; k < f->params; k++)
         f->active[k] = cameras > 1 || k < SHADE_TERMS;
-    fit_terms(f, false);
+    if (f->in->v->n <= SHADE_FIT_PLACES)
+        choose_drift(f, drift);
+    else
+        fit_terms(f, false);
     const double scale = residual_spread(f);
     f->gate = 3 * scale;
     accumulate_normal(f, false, 2 * scale);
@@ -434,14 +566,17 @@ static void choose_terms(struct fit *f, struct shade_fit_camera *out)
         out[k].error = sqrt(held_error(f, k, &out[k].held));
     fit_terms(f, true);
     take_models(f, out);
+    bound_drift(f, drift->stops);
 }
 
 err_t shade_fit_run(const struct run *r, const struct shade_fit_input *in,
-                    struct shade_fit_camera *out)
+                    struct shade_fit_camera *out, struct shade_fit_drift *drift)
 {
     struct fit f = {.in = in};
     const size_t mark = arena_mark(r->tmp);
     memset(out, 0, (size_t)in->n_cameras * sizeof *out);
+    memset(drift->stops, 0, (size_t)in->v->n * sizeof *drift->stops);
+    *drift = (struct shade_fit_drift){.stops = drift->stops};
     err_t e = layout(&f, r->tmp, in->v->n);
     if (!e) {
         visibility_set(&f.visibility, in->depth, in->v->cams);
@@ -449,7 +584,7 @@ err_t shade_fit_run(const struct run *r, const struct shade_fit_input *in,
         e = collect_observations(r, &f);
     }
     if (!e && f.n >= LEAST)
-        choose_terms(&f, out);
+        choose_terms(&f, out, drift);
     arena_reset(r->tmp, mark);
     return e;
 }

@@ -61,9 +61,13 @@ static void take_over(struct views *large, struct job_result *out)
 {
     struct scene *s = &out->scene;
     const struct shade *shade = out->views.shade;
+    const float *drift = out->views.drift;
     lenses_reshape(out, &out->views, large);
     out->views = *large;
     out->views.shade = shade;
+    out->views.drift = drift;
+    for (int i = 0; i < large->n + large->n_more && drift; i++)
+        out->views.log2t[i] += drift[i];
     for (int i = 0; i < s->n_views; i++)
         s->cams[i] = pose_scaled(&s->cams[i], large->extent[i].w, large->extent[i].h);
     s->size = large->size;

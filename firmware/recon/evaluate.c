@@ -180,7 +180,7 @@ static bool is_seen(const struct bench *b, float log2t)
 {
     const struct views *inputs = &b->j->views;
     for (int i = 0; i < inputs->n + inputs->n_more; i++)
-        if (fabsf(inputs->log2t[i] - log2t) < SAME_EXPOSURE)
+        if (fabsf(views_set_log2t(inputs, i) - log2t) < SAME_EXPOSURE)
             return true;
     return false;
 }

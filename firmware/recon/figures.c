@@ -57,8 +57,8 @@ static double next_exposure(const struct views *v, double last, double apart)
 {
     double next = INFINITY;
     for (int i = 0; i < photographs_used(v); i++)
-        if ((double)v->log2t[i] > last + apart && (double)v->log2t[i] < next)
-            next = (double)v->log2t[i];
+        if ((double)views_set_log2t(v, i) > last + apart && (double)views_set_log2t(v, i) < next)
+            next = (double)views_set_log2t(v, i);
     return next;
 }
 
@@ -67,8 +67,8 @@ static double exposure_tolerance(const struct views *v)
 {
     double lo = INFINITY, hi = -INFINITY;
     for (int i = 0; i < photographs_used(v); i++) {
-        lo = fmin(lo, (double)v->log2t[i]);
-        hi = fmax(hi, (double)v->log2t[i]);
+        lo = fmin(lo, (double)views_set_log2t(v, i));
+        hi = fmax(hi, (double)views_set_log2t(v, i));
     }
     return fmax(MERGE, (hi - lo) / (FIGURES_EXPOSURES - 1));
 }
@@ -97,8 +97,8 @@ static int exposure_of(const struct figures *f, int i)
 {
     int best = 0;
     for (int k = 1; k < f->n; k++)
-        if (fabs(f->exposure[k].log2t - (double)f->v->log2t[i]) <
-            fabs(f->exposure[best].log2t - (double)f->v->log2t[i]))
+        if (fabs(f->exposure[k].log2t - (double)views_set_log2t(f->v, i)) <
+            fabs(f->exposure[best].log2t - (double)views_set_log2t(f->v, i)))
             best = k;
     return best;
 }
@@ -203,8 +203,10 @@ static void report_input(const struct job_result *j, int i, const struct figures
     report_open(rep, NULL, '{');
     report_text(rep, "name", v->names[i]);
     report_int(rep, "place", i < v->n ? i : v->place[i - v->n]);
-    report_number(rep, "exposure_log2", (double)v->log2t[i]);
+    report_number(rep, "exposure_log2", (double)views_set_log2t(v, i));
     report_number(rep, "stops", (double)(v->log2t[i] - j->scene.tone.mid_log2t));
+    if (v->drift)
+        report_number(rep, "light_stops", (double)v->drift[i]);
     report_number(rep, "clipped", in->clipped);
     report_number(rep, "dark", in->dark);
     report_number(rep, "alone", in->alone);

@@ -433,6 +433,10 @@ static void report_making(const struct job_result *j, struct report *rep)
     report_text(rep, NULL, j->sizing);
     if (j->budget[0])
         report_text(rep, NULL, j->budget);
+    char drift[160];
+    shading_tell(j, drift, sizeof drift);
+    if (drift[0])
+        report_text(rep, NULL, drift);
     if (j->taken > j->views.n + j->views.n_more) {
         char text[128];
         snprintf(text, sizeof text, "%d of %d photographs: the others show nothing more",

@@ -81,7 +81,7 @@ struct job_result {
     double seconds[JOB_STAGES];
     const struct team *team;             // NULL: one process did all
     uint64_t sent[JOB_STAGES], lap_sent; // bytes by this rank; until the last lap
-    double input_psnr;          // dB, mean over the input views, NAN until publish_run
+    double input_psnr;                   // dB, mean over the input views, NAN until publish_run
     float *input_db;            // (views.n + n_more) dB of each, in keep, NAN until then, or NULL
     bool measured_only;         // the scene was read from a file and only measured
     size_t keep_peak, tmp_peak; // bytes
@@ -91,7 +91,8 @@ struct job_result {
     struct job_lens found[BUNDLE_VIEWS_MAX]; // where cameras were not known
     int n_light;                             // 0: not looked at
     struct job_light light[SHADE_FIT_CAMERAS];
-    int n_rig; // 0: not checked
+    struct shade_fit_drift drift; // of the places; stops NULL: not looked at
+    int n_rig;                    // 0: not checked
     struct job_rig_camera rig[RIGCHECK_MOST];
     int n_lenses;
     char lenses[JOB_LENSES][160]; // how photographs were undistorted, a sentence for each lens

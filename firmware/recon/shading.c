@@ -95,52 +95,115 @@ static double largest_change(const struct job_result *j, const int *camera,
 
 /* ---- the step ---- */
 
-static err_t fit_models(const struct run *r, const struct shading_input *in, const int *camera,
-                        struct job_result *out)
+/* What a run of shading works on. */
+struct fitting {
+    const struct shading_input *in;
+    struct job_result *out;
+    int camera[BUNDLE_VIEWS_MAX];
+    float set[BUNDLE_VIEWS_MAX];   // exposures of in->seen before
+    float used[BUNDLE_VIEWS_MAX];  // stops in them since
+    float stops[BUNDLE_VIEWS_MAX]; // of drift
+};
+
+static err_t fit_models(const struct run *r, struct fitting *f)
 {
     struct shade_fit_camera found[SHADE_FIT_CAMERAS];
+    const struct shading_input *in = f->in;
+    struct job_result *out = f->out;
     const struct shade_fit_input from = {.v = in->seen,
                                          .depth = in->depth,
                                          .tone = in->tone,
+                                         .tone_known = !in->refit,
                                          .shade = in->room,
-                                         .camera = camera,
+                                         .camera = f->camera,
                                          .n_cameras = out->n_light};
-    err_t e = shade_fit_run(r, &from, found);
+    out->drift.stops = f->stops;
+    err_t e = shade_fit_run(r, &from, found, &out->drift);
     for (int k = 0; k < out->n_light && !e; k++)
         out->light[k].found = found[k];
     return e;
 }
 
+static bool anything_found(const struct fitting *f)
+{
+    return f->out->drift.kept || shading_found(f->out);
+}
+
+/* Takes over what was found. Returns the largest change, stops. */
+static double use_models(struct fitting *f)
+{
+    struct views *seen = f->in->seen;
+    double most = 0;
+    for (int i = 0; i < seen->n; i++) {
+        const float log2t = f->set[i] + f->stops[i];
+        most = fmax(most, fabs((double)(log2t - seen->log2t[i])));
+        seen->log2t[i] = log2t;
+        f->used[i] = f->stops[i];
+    }
+    if (f->out->n_light == 0)
+        return most;
+    most = fmax(most, largest_change(f->out, f->camera, f->in->room));
+    set_models(f->out, f->camera, f->in->room);
+    seen->shade = f->out->views.shade = f->in->room;
+    return most;
+}
+
+static void begin_fitting(struct fitting *f)
+{
+    const struct shading_input *in = f->in;
+    struct job_result *out = f->out;
+    for (int i = 0; i < out->views.n; i++)
+        f->set[i] = in->seen->log2t[i];
+    if (!in->room || !group_cameras(in->capture, out, f->camera))
+        out->n_light = 0;
+    for (int i = 0; i < out->views.n && out->n_light; i++) {
+        map_view(out, lenses_shot(in->capture, out->views.names[i]), &out->views.cams[i],
+                 &in->room[i]);
+        in->room[i].model = (struct shade_model){.gain = {0}};
+    }
+}
+
+/* All photographs of a place share its drift. */
+static void end_fitting(struct fitting *f)
+{
+    struct views *v = &f->out->views;
+    float *drift = f->in->drift;
+    f->in->seen->drift = NULL; // it has done its work
+    f->out->drift.stops = drift;
+    if (!f->out->drift.kept)
+        return;
+    for (int i = 0; i < v->n + v->n_more; i++)
+        drift[i] = f->stops[i < v->n ? i : v->place[i - v->n]];
+    for (int i = 0; i < v->n + v->n_more && v->log2t != f->in->seen->log2t; i++)
+        v->log2t[i] += drift[i];
+    v->drift = drift;
+}
+
 err_t shading_run(const struct run *r, const struct shading_input *in, struct job_result *out)
 {
     const struct tonemap before = *in->tone;
-    int camera[BUNDLE_VIEWS_MAX];
+    struct fitting f = {.in = in, .out = out};
     err_t e = OK;
-    if (out->views.n > BUNDLE_VIEWS_MAX || !group_cameras(in->capture, out, camera)) {
-        out->n_light = 0;
+    out->n_light = 0;
+    if (out->views.n > BUNDLE_VIEWS_MAX)
         return OK;
-    }
-    for (int i = 0; i < out->views.n; i++)
-        map_view(out, lenses_shot(in->capture, out->views.names[i]), &out->views.cams[i],
-                 &in->room[i]);
-    for (int i = 0; i < out->views.n; i++)
-        in->room[i].model = (struct shade_model){.gain = {0}};
+    begin_fitting(&f);
+    in->seen->drift = f.used;
     for (int k = 0; k < ROUNDS && !e; k++) {
-        e = fit_models(r, in, camera, out);
-        if (e || !shading_found(out))
+        e = fit_models(r, &f);
+        if (e)
             break;
-        const bool settled = largest_change(out, camera, in->room) < SETTLED;
-        set_models(out, camera, in->room);
-        in->seen->shade = out->views.shade = in->room;
-        if (settled || !in->refit)
+        const bool settled = use_models(&f) < SETTLED;
+        if (!anything_found(&f) || settled || !in->refit)
             break;
         e = response_refit_run(r, in->seen, in->depth, in->tone);
     }
-    if (e || shading_found(out))
-        return e;
-    *in->tone = before;
-    in->seen->shade = out->views.shade = NULL;
-    return OK;
+    if (!e && !anything_found(&f))
+        *in->tone = before;
+    if (!shading_found(out))
+        in->seen->shade = out->views.shade = NULL;
+    end_fitting(&f);
+    return e;
 }
 
 bool shading_model(const struct job_result *j, const char *camera_id, struct shade_model *out)
@@ -163,7 +226,7 @@ bool shading_of(const struct job_result *j, const struct shot *s, const struct c
 
 /* ---- words ---- */
 
-void shading_report(const struct job_result *j, struct report *rep)
+static void report_cameras(const struct job_result *j, struct report *rep)
 {
     static const char *const words[SHADE_FIT_KINDS] = {"v2", "v4", "v6", "gain", "white_balance"};
     if (j->n_light == 0)
@@ -191,4 +254,46 @@ void shading_report(const struct job_result *j, struct report *rep)
         report_close(rep);
     }
     report_close(rep);
+}
+
+/* The photograph whose light is farthest from that of all. */
+static int farthest_light(const struct job_result *j)
+{
+    int most = 0;
+    for (int i = 1; i < j->views.n + j->views.n_more; i++)
+        if (fabsf(j->views.drift[i]) > fabsf(j->views.drift[most]))
+            most = i;
+    return most;
+}
+
+void shading_tell(const struct job_result *j, char *text, size_t cap)
+{
+    const float *drift = j->views.drift;
+    text[0] = 0;
+    if (!drift)
+        return;
+    const int i = farthest_light(j);
+    snprintf(text, cap,
+             "light was not the same in all photographs, up to %.2f stops %s (%.40s): evened out%s",
+             fabs((double)drift[i]), drift[i] > 0 ? "brighter" : "darker", j->views.names[i],
+             fabs((double)drift[i]) < SHADE_FIT_DRIFT_MOST ? "" : " as far as that goes");
+}
+
+static void report_drift(const struct job_result *j, struct report *rep)
+{
+    const struct shade_fit_drift *d = &j->drift;
+    if (d->held == 0)
+        return;
+    report_open(rep, "drift", '{');
+    report_bool(rep, "used", d->kept);
+    report_int(rep, "left_out_observations", d->held);
+    report_number(rep, "left_out_error_without", d->error_before);
+    report_number(rep, "left_out_error_with", d->error);
+    report_close(rep);
+}
+
+void shading_report(const struct job_result *j, struct report *rep)
+{
+    report_drift(j, rep);
+    report_cameras(j, rep);
 }

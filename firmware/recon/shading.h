@@ -1,5 +1,6 @@
-/* shading.h - what the physical cameras of a job do to light (core/photo/shade.h): found once depth
- * is known, then part of every comparison with their photographs. */
+/* shading.h - what the physical cameras of a job do to light (core/photo/shade.h), and light that
+ * was another in each photograph: found once depth is known, then part of every comparison with
+ * the photographs. */
 #ifndef RECON_SHADING_H
 #define RECON_SHADING_H
 
@@ -13,13 +14,16 @@ MUST_USE err_t shading_layout(struct shade **out, struct arena *keep, int n_view
 
 /* Find it from surfaces, and say so in *out. The response curve is fitted again with it where
  * exposures are in other places (refit). Nothing changes where nothing was found.
- * room:  (out->views.n) of shading_layout; becomes out->views.shade and seen->shade.
+ * room:  (out->views.n) of shading_layout; becomes out->views.shade and seen->shade. NULL: of
+ *        cameras nothing is asked.
+ * drift: (out->views.n + n_more) room; becomes out->views.drift.
  * seen:  one photograph of each place, with cameras; tone: its curve.
  * err:   ERR_NOMEM (see shading_plan), ERR_CANCELLED. */
 struct shading_input {
     const struct capture *capture;
     const struct depthmaps *depth;
     struct shade *room;
+    float *drift;
     struct views *seen;
     struct tonemap *tone;
     bool refit;
@@ -39,6 +43,9 @@ bool shading_found(const struct job_result *j);
 /* The same over the pixels of a view of the photograph with this pinhole; false: none was found. */
 bool shading_of(const struct job_result *j, const struct shot *s, const struct camera *view,
                 struct shade *out);
+
+/* A sentence about drift, "" if there was none. */
+void shading_tell(const struct job_result *j, char *text, size_t cap);
 
 /* For report.json. */
 void shading_report(const struct job_result *j, struct report *rep);

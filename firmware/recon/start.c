@@ -43,12 +43,16 @@ static bool finds_light(const struct recipe *recipe)
     return recipe->depth == RECIPE_STEREO && !recipe->square;
 }
 
-static err_t layout_scene(struct scene *s, struct shade **shade, struct arena *keep,
-                          const struct recipe *recipe, int n_views)
+static err_t layout_scene(struct scene *s, struct start *st, struct arena *keep,
+                          const struct views *v)
 {
-    err_t e = arena_alloc(keep, (size_t)n_views, sizeof *s->cams, &s->cams);
+    const struct recipe *recipe = st->recipe;
+    const size_t n = (size_t)v->n, photographs = n + (size_t)v->n_more;
+    err_t e = arena_alloc(keep, n, sizeof *s->cams, &s->cams);
     if (!e && finds_light(recipe))
-        e = shading_layout(shade, keep, n_views);
+        e = shading_layout(&st->shade, keep, v->n);
+    if (!e && recipe->depth == RECIPE_STEREO)
+        e = arena_alloc(keep, photographs, sizeof *st->drift, &st->drift);
     if (!e && !recipe->forward) // room for what refinement may add
         e = gaussians_init(&s->g, keep, recipe->gaussians_max, recipe->degree_max);
     return e;
@@ -70,7 +74,7 @@ err_t start_scene(struct start *s)
                        .metres = recipe->cameras == RECIPE_GIVEN && s->capture->shots[0].metres};
     for (int c = 0; c < 3 && recipe->forward; c++)
         scene->background[c] = 1; // core/splat/README.md 3
-    err_t e = layout_scene(scene, &s->shade, keep, recipe, v->n);
+    err_t e = layout_scene(scene, s, keep, v);
     if (!e && v->cams)
         memcpy(scene->cams, v->cams, n * sizeof *scene->cams);
     s->keep = arena_mark(keep);
@@ -356,6 +360,7 @@ static err_t find_light(struct start *s)
     const struct shading_input in = {.capture = s->capture,
                                      .depth = &s->depth,
                                      .room = s->shade,
+                                     .drift = s->drift,
                                      .seen = &merged->views,
                                      .tone = &merged->tone,
                                      .refit = out->views.n_more == 0 && !out->views.srgb};
@@ -383,7 +388,7 @@ err_t start_stereo(struct start *s)
         e = response_refit_run(r, &out->views, &s->depth, &merged->tone);
         out->scene.tone = merged->tone;
     }
-    if (!e && s->shade)
+    if (!e && s->drift)
         e = find_light(s);
     job_result_lap(out, JOB_SWEEP);
     return e;
@@ -580,13 +585,13 @@ void start_plan(struct plan *p, const struct job_config *cfg, const struct recip
     const bool gaussians = recipe->gaussians == RECIPE_NETWORK;
     struct extent *maps = calloc((size_t)v->n, sizeof *maps);
     struct scene scene;
-    struct shade *shade;
+    struct start s = {.recipe = recipe};
     if (!maps) {
         plan_refuse(p);
         return;
     }
     (void)sweep_extents(v, maps);
-    if (layout_scene(&scene, &shade, &p->keep, recipe, v->n))
+    if (layout_scene(&scene, &s, &p->keep, v))
         plan_refuse(p);
     const size_t keep = arena_mark(&p->keep), tmp = arena_mark(&p->tmp);
     if (recipe->tapped) // cells have room for all points
@@ -601,7 +606,7 @@ void start_plan(struct plan *p, const struct job_config *cfg, const struct recip
         arena_reset(&p->keep, keep);
     const size_t before_depth = arena_mark(&p->keep);
     if (recipe->depth == RECIPE_STEREO || recipe->correct)
-        plan_stereo(p, v, maps, finds_light(recipe));
+        plan_stereo(p, v, maps, recipe->depth == RECIPE_STEREO);
     if (recipe->correct) {
         correct_plan(p, v->n, v->size);
         arena_reset(&p->keep, before_depth);

@@ -33,6 +33,7 @@ struct start {
     struct start_merged merged;
     struct depthmaps depth;
     struct shade *shade; // (places) room for what cameras do to light; NULL: not looked for
+    float *drift;        // (photographs) room for that of their light
     size_t before_depth; // level of run.keep
 };
 

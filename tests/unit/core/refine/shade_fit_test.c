@@ -24,9 +24,10 @@ static struct world {
     struct camera cams[VIEWS];
     struct shade shade[VIEWS];
     int camera[VIEWS];
-    float log2t[VIEWS], z[VIEWS * MPX], conf[VIEWS * MPX];
+    float log2t[VIEWS], stops[VIEWS], z[VIEWS * MPX], conf[VIEWS * MPX];
     uint8_t rgb[3 * VIEWS * PX];
     struct shade_fit_input in;
+    struct shade_fit_drift drift;
 } w;
 
 static const struct shade_model none,
@@ -87,7 +88,8 @@ static int setup(void **state)
         w.z[k] = 4;
         w.conf[k] = 1;
     }
-    w.in = (struct shade_fit_input){&w.v, &w.depth, &w.tone, w.shade, w.camera, 2};
+    w.in = (struct shade_fit_input){&w.v, &w.depth, &w.tone, true, w.shade, w.camera, 2};
+    w.drift.stops = w.stops;
     w.r = (struct run){.tmp = &w.tmp};
     return arena_init(&w.tmp, "tmp", shade_fit_plan(VIEWS)) == OK ? 0 : -1;
 }
@@ -115,7 +117,7 @@ static void what_is_there_is_found(void **state)
     (void)state;
     struct shade_fit_camera found[2];
     photograph_all(real);
-    assert_int_equal(shade_fit_run(&w.r, &w.in, found), OK);
+    assert_int_equal(shade_fit_run(&w.r, &w.in, found, &w.drift), OK);
     assert_int_equal(arena_mark(&w.tmp), 0);
     for (int k = 0; k < 2; k++) {
         assert_near(&found[k].model, &real[k]);
@@ -137,9 +139,12 @@ static void what_is_not_there_is_not_found(void **state)
     const struct shade_model plain[2] = {none, none};
     struct shade_fit_camera found[2];
     photograph_all(plain);
-    assert_int_equal(shade_fit_run(&w.r, &w.in, found), OK);
+    assert_int_equal(shade_fit_run(&w.r, &w.in, found, &w.drift), OK);
     for (int k = 0; k < 2; k++)
         assert_memory_equal(&found[k].model, &none, sizeof none);
+    assert_false(w.drift.kept);
+    for (int i = 0; i < VIEWS; i++)
+        assert_true(w.stops[i] == 0);
 }
 
 /* One camera has no gain beside others, and its radiance is what it shows. */
@@ -151,12 +156,113 @@ static void one_camera_has_vignetting_only(void **state)
     photograph_all(one);
     memset(w.camera, 0, sizeof w.camera);
     w.in.n_cameras = 1;
-    assert_int_equal(shade_fit_run(&w.r, &w.in, &found), OK);
+    assert_int_equal(shade_fit_run(&w.r, &w.in, &found, &w.drift), OK);
     struct shade_model want = real[0];
     memset(want.gain, 0, sizeof want.gain);
     assert_near(&found.model, &want);
     for (int c = 0; c < 3; c++)
         assert_true(found.model.gain[c] == 0);
+}
+
+/* Light of each photograph, 0 in the mean and without a trend over the exposures. */
+static const float lit[VIEWS] = {0.25f, -0.2f, 0.1f, -0.05f, -0.1f, 0.15f, -0.2f, 0.05f};
+
+static void light_up(float times)
+{
+    for (int i = 0; i < VIEWS; i++) {
+        w.log2t[i] += times * lit[i];
+        photograph(i, &none);
+        w.log2t[i] -= times * lit[i];
+    }
+}
+
+static void light_that_changes_is_found(void **state)
+{
+    struct shade_fit_camera found[2];
+    (void)state;
+    for (int times = 1; times <= 8; times += 7) { // up to 2 stops
+        light_up((float)times);
+        for (int cameras = 0; cameras <= 2; cameras += 2) {
+            w.in.n_cameras = cameras;
+            assert_int_equal(shade_fit_run(&w.r, &w.in, found, &w.drift), OK);
+            assert_true(w.drift.kept && w.drift.held > 100);
+            assert_true(w.drift.error < 0.5 * w.drift.error_before);
+            float sum = 0;
+            for (int i = 0; i < VIEWS; i++) {
+                sum += w.stops[i];
+                assert_float_equal(w.stops[i], (float)times * lit[i], 0.02 * times);
+            }
+            assert_float_equal(sum, 0, 1e-4);
+        }
+    }
+}
+
+/* A trend over the exposures may as well be the curve's, and is taken for light only where that is
+ * known. */
+static void a_trend_is_light_under_a_known_curve(void **state)
+{
+    struct shade_fit_camera found[2];
+    (void)state;
+    for (int i = 0; i < VIEWS; i++) {
+        w.log2t[i] *= 1.3f;
+        photograph(i, &none);
+        w.log2t[i] /= 1.3f;
+    }
+    w.in.n_cameras = 0;
+    assert_int_equal(shade_fit_run(&w.r, &w.in, found, &w.drift), OK);
+    assert_true(w.drift.kept);
+    assert_float_equal(w.stops[2] - w.stops[0], 0.3, 0.02);
+    w.in.tone_known = false;
+    assert_int_equal(shade_fit_run(&w.r, &w.in, found, &w.drift), OK);
+    for (int i = 0; i < VIEWS; i++)
+        assert_float_equal(w.stops[i], 0, 0.02);
+}
+
+/* Stops that are in the exposures already are found again, not those that are left. */
+static void known_light_is_not_counted_twice(void **state)
+{
+    struct shade_fit_camera found[2];
+    float known[VIEWS];
+    (void)state;
+    light_up(1);
+    for (int i = 0; i < VIEWS; i++)
+        w.log2t[i] += known[i] = 0.9f * lit[i];
+    w.v.drift = known;
+    w.in.n_cameras = 0;
+    assert_int_equal(shade_fit_run(&w.r, &w.in, found, &w.drift), OK);
+    for (int i = 0; i < VIEWS; i++)
+        assert_float_equal(w.stops[i], lit[i], 0.02);
+}
+
+/* An exposure that is off by nearly as much as the bound is evened out; one beyond, with another
+ * that lets drift be kept, no farther than that. */
+static void no_light_is_farther_than_the_bound(void **state)
+{
+    struct shade_fit_camera found[2];
+    (void)state;
+    photograph_all((const struct shade_model[2]){none, none});
+    w.in.n_cameras = 0;
+    w.log2t[0] -= 3.3f;
+    assert_int_equal(shade_fit_run(&w.r, &w.in, found, &w.drift), OK);
+    assert_true(w.drift.kept);
+    assert_float_equal(w.stops[0], 3.3 * (VIEWS - 1) / VIEWS, 0.05);
+    w.log2t[0] -= 3;
+    w.log2t[5] += 1;
+    assert_int_equal(shade_fit_run(&w.r, &w.in, found, &w.drift), OK);
+    assert_true(w.drift.kept);
+    assert_float_equal(w.stops[0], SHADE_FIT_DRIFT_MOST, 1e-6);
+    assert_float_equal(w.stops[5] - w.stops[4], -1, 0.05);
+}
+
+/* Less than 0.03 stops are left alone. */
+static void little_is_not_worth_it(void **state)
+{
+    struct shade_fit_camera found[2];
+    (void)state;
+    light_up(0.15f);
+    w.in.n_cameras = 0;
+    assert_int_equal(shade_fit_run(&w.r, &w.in, found, &w.drift), OK);
+    assert_true(!w.drift.kept && w.drift.error < w.drift.error_before && w.stops[0] == 0);
 }
 
 static void too_little_says_nothing(void **state)
@@ -165,18 +271,19 @@ static void too_little_says_nothing(void **state)
     atomic_bool cancel = true;
     struct shade_fit_camera found[2];
     memset(w.rgb, 255, sizeof w.rgb); // saturated
-    assert_int_equal(shade_fit_run(&w.r, &w.in, found), OK);
+    assert_int_equal(shade_fit_run(&w.r, &w.in, found, &w.drift), OK);
     assert_memory_equal(&found[0].model, &none, sizeof none);
+    assert_true(!w.drift.kept && w.drift.held == 0);
     photograph_all(real);
     for (int k = 0; k < VIEWS * MPX; k++) // no depth is sure
         w.conf[k] = 0.5f;
-    assert_int_equal(shade_fit_run(&w.r, &w.in, found), OK);
+    assert_int_equal(shade_fit_run(&w.r, &w.in, found, &w.drift), OK);
     assert_memory_equal(&found[0].model, &none, sizeof none);
     w.r.cancel = &cancel;
-    assert_int_equal(shade_fit_run(&w.r, &w.in, found), ERR_CANCELLED);
+    assert_int_equal(shade_fit_run(&w.r, &w.in, found, &w.drift), ERR_CANCELLED);
     w.r.cancel = NULL;
     w.v.n = w.depth.n = 1; // nothing to compare with
-    assert_int_equal(shade_fit_run(&w.r, &w.in, found), OK);
+    assert_int_equal(shade_fit_run(&w.r, &w.in, found, &w.drift), OK);
     assert_memory_equal(&found[0].model, &none, sizeof none);
 }
 
@@ -186,6 +293,11 @@ int main(void)
         cmocka_unit_test_setup_teardown(what_is_there_is_found, setup, teardown),
         cmocka_unit_test_setup_teardown(what_is_not_there_is_not_found, setup, teardown),
         cmocka_unit_test_setup_teardown(one_camera_has_vignetting_only, setup, teardown),
+        cmocka_unit_test_setup_teardown(light_that_changes_is_found, setup, teardown),
+        cmocka_unit_test_setup_teardown(a_trend_is_light_under_a_known_curve, setup, teardown),
+        cmocka_unit_test_setup_teardown(known_light_is_not_counted_twice, setup, teardown),
+        cmocka_unit_test_setup_teardown(no_light_is_farther_than_the_bound, setup, teardown),
+        cmocka_unit_test_setup_teardown(little_is_not_worth_it, setup, teardown),
         cmocka_unit_test_setup_teardown(too_little_says_nothing, setup, teardown),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
