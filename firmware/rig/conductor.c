@@ -402,6 +402,7 @@ static void on_member(struct conductor *c, const struct conductor_event *ev)
         strcmp(m->said.boot, ev->member->boot) != 0)
         m->since_ns = ev->now_ns;
     m->said = *ev->member;
+    m->heard_ns = ev->now_ns;
     if (c->state == CONDUCTOR_LEADS && m->said.online)
         release_parts(c, m);
 }
@@ -644,6 +645,19 @@ static void on_down(struct conductor *c, int64_t now_ns)
     }
 }
 
+/* A broker sends no last will of a board that hangs while its connection lives, and mosquitto none
+ * of one that it throws out. */
+static void lose_silent(struct conductor *c, int64_t now_ns)
+{
+    for (int i = 0; i < c->n; i++) {
+        struct conductor_member *m = &c->member[i];
+        if (!m->said.online || now_ns - m->heard_ns < CONDUCTOR_SILENT_NS)
+            continue;
+        m->said.online = false;
+        m->since_ns = now_ns;
+    }
+}
+
 err_t conductor_event(struct conductor *c, const struct conductor_event *ev)
 {
     err_t e = OK;
@@ -693,6 +707,7 @@ err_t conductor_event(struct conductor *c, const struct conductor_event *ev)
         e = on_accept(c, ev);
         break;
     case CONDUCTOR_TICK:
+        lose_silent(c, ev->now_ns);
         break;
     }
     on_time(c, ev->now_ns);
@@ -718,7 +733,13 @@ int64_t conductor_deadline(const struct conductor *c, int64_t now_ns)
     for (int i = 0; i < CONDUCTOR_TAKES; i++)
         if (c->take[i].phase != TAKE_FREE)
             return now_ns + SECOND;
-    return INT64_MAX;
+    int64_t due = INT64_MAX;
+    for (int i = 0; i < c->n; i++) {
+        const struct conductor_member *m = &c->member[i];
+        const int64_t silent_ns = m->heard_ns + CONDUCTOR_SILENT_NS;
+        due = m->said.online && silent_ns < due ? silent_ns : due;
+    }
+    return due;
 }
 
 err_t conductor_init(struct conductor *c, const struct conductor_config *cfg)

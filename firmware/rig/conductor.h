@@ -49,8 +49,9 @@ enum { CONDUCTOR_TAKES = 32, CONDUCTOR_ACTIONS = 256, CONDUCTOR_TRIES = 3 };
 #define CONDUCTOR_AWAY_NS INT64_C(15000000000)  // a partial take does not wait longer
 #define CONDUCTOR_RETRY_NS INT64_C(2000000000)  // between tries to fetch a part
 #define CONDUCTOR_METER_NS INT64_C(30000000000)
-#define CONDUCTOR_EARLY_NS INT64_C(1000000000) // frames that begin outside of start - EARLY to
-#define CONDUCTOR_LATE_NS INT64_C(60000000000) // start + exposures + LATE are not of the take
+#define CONDUCTOR_SILENT_NS INT64_C(20000000000) // announces nothing: hangs, or was locked out
+#define CONDUCTOR_EARLY_NS INT64_C(1000000000)   // frames that begin outside of start - EARLY to
+#define CONDUCTOR_LATE_NS INT64_C(60000000000)   // start + exposures + LATE are not of the take
 
 enum conductor_state { CONDUCTOR_OFF, CONDUCTOR_LISTEN, CONDUCTOR_LEADS, CONDUCTOR_REFUSED };
 
@@ -79,6 +80,7 @@ struct conductor_member {
     bool listed; // in rig.member.N
     struct message_member said;
     int64_t since_ns; // it is there, or away, since then
+    int64_t heard_ns; // last announcement
 };
 
 struct conductor_take {
@@ -122,7 +124,7 @@ enum conductor_event_kind {
                         // RELEASE: that was dropped
     CONDUCTOR_FORGET,   // take: the user gives it up; or a board that was taken away
     CONDUCTOR_ACCEPT,   // take: the user wants what there is of it
-    CONDUCTOR_TICK
+    CONDUCTOR_TICK      // when nothing that was announced is left unread
 };
 
 struct conductor_event {

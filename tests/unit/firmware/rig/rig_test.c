@@ -292,6 +292,30 @@ static void plug_in(struct world *w, int k)
     world_run(w, 30);
 }
 
+/* Its daemon hangs, or the broker throws it out: no last will tells of it. */
+static void test_board_that_falls_silent(void **state)
+{
+    (void)state;
+    struct world *w = ready_world(4, 12);
+    w->node[2].up = w->node[2].linked = false;
+    world_run(w, 15);
+    assert_int_equal(conductor_check(&w->leader, mono(w, LEADER)), OK);
+    assert_true(conductor_deadline(&w->leader, mono(w, LEADER)) < mono(w, LEADER) + 6 * SECOND);
+    world_run(w, 10);
+    refused(w, "board-02 is not there since 4 s");
+    const struct conductor_event forget = {.kind = CONDUCTOR_FORGET, .take = "board-02"};
+    assert_int_equal(leader_event(w, forget), ERR_ARG); // the settings list it
+    w->leader.member[2].listed = false;
+    assert_int_equal(leader_event(w, forget), OK);
+    assert_int_equal(w->leader.n, 3);
+    assert_int_equal(conductor_check(&w->leader, mono(w, LEADER)), OK);
+    plug_in(w, 2);
+    assert_int_equal(w->leader.n, 4);
+    assert_int_equal(conductor_check(&w->leader, mono(w, LEADER)), OK);
+    finish(w);
+    world_close(w);
+}
+
 /* Somebody deletes the part of a board that is away: the others' parts stay until the owner says
  * what is to become of them. */
 static void test_lost_part_waits_for_the_owner(void **state)
@@ -569,6 +593,7 @@ int main(void)
         cmocka_unit_test(test_boards_that_meter),
         cmocka_unit_test(test_member_dies_while_it_shoots),
         cmocka_unit_test(test_lost_part_waits_for_the_owner),
+        cmocka_unit_test(test_board_that_falls_silent),
         cmocka_unit_test(test_part_that_comes_back),
         cmocka_unit_test(test_board_that_is_gone_for_good),
         cmocka_unit_test(test_partial_take),
