@@ -15,6 +15,7 @@ static const struct {
      cmd_rig_status_forget},
     {"broker", "makes the broker of a rig on this machine", cmd_rig_setup_broker},
     {"add", "lets a board into the rig: prints the line that it needs", cmd_rig_setup_add},
+    {"remove", "lets a board into the rig no more", cmd_rig_setup_remove},
     {"join", "makes this machine a board of the rig, by that line", cmd_rig_setup_join},
     {"board", "a board of tags to print, for calibrate", cmd_rig_board},
     {"calibrate", "lens and place of every camera, from takes of the rig", cmd_rig_calibrate},

@@ -13,6 +13,7 @@ int cmd_rig_status_accept(int argc, char **argv);
 int cmd_rig_status_forget(int argc, char **argv);
 int cmd_rig_setup_broker(int argc, char **argv);
 int cmd_rig_setup_add(int argc, char **argv);
+int cmd_rig_setup_remove(int argc, char **argv);
 int cmd_rig_setup_join(int argc, char **argv);
 
 /* The word before the options, which is taken out of *argc and *argv; "" if there is none. */

@@ -1,5 +1,6 @@
-/* hdrig rig broker, add, join: from single boards to a rig. The line that a board joins by goes to
- * stdout, and comes in by stdin: arguments and the logs of sudo are no place for a password. */
+/* hdrig rig broker, add, remove, join: from single boards to a rig. The line that a board joins by
+ * goes to stdout, and comes in by stdin: arguments and the logs of sudo are no place for a
+ * password. */
 #include "firmware/base/tool.h"
 #include "firmware/cmd/cmd_rig.h"
 #include "firmware/rig/boards.h"
@@ -180,6 +181,44 @@ int cmd_rig_setup_add(int argc, char **argv)
     if (!*board)
         return cmd_misuse(&usage, "the name of the board is needed");
     return cmd_finish(usage.name, add_board(dir, board, qr));
+}
+
+/* ---- remove ---- */
+
+static err_t remove_board(const char *dir, const char *board)
+{
+    struct broker_site site;
+    err_t e = broker_site(dir, &site);
+    if (!e)
+        e = broker_remove(dir, board);
+    if (e)
+        return e;
+    reload_broker(dir);
+    fprintf(stderr,
+            "The broker then ends the connection of %s, and lets it in no more. %s notices that\n"
+            "within 30 s; take rig.member.N = %s out of its settings, if it is there, and call\n"
+            "  hdrig rig forget %s\n",
+            board, site.conductor, board, board);
+    return OK;
+}
+
+int cmd_rig_setup_remove(int argc, char **argv)
+{
+    struct config cfg;
+    const char *dir = BROKER_DIR;
+    int code;
+    const struct cmd_option options[] = {CMD_DIR(dir)};
+    const struct cmd_usage usage = {
+        "rig remove", "BOARD ",
+        "On the machine of the broker: takes back what hdrig rig add gave, so that the board does\n"
+        "not get in any more. The other boards are not disturbed.",
+        options, 1};
+    const char *board = cmd_rig_word(&argc, &argv);
+    if (!cmd_parse(&usage, argc, argv, &cfg, &code))
+        return code;
+    if (!*board)
+        return cmd_misuse(&usage, "the name of the board is needed");
+    return cmd_finish(usage.name, remove_board(dir, board));
 }
 
 /* ---- join ---- */

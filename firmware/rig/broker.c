@@ -404,6 +404,7 @@ static err_t hash_password(const struct work *w, const struct joinline *j, char 
     return e;
 }
 
+/* hash: the new line of the board; "": it is no user any more. */
 static err_t put_user(const struct work *w, const char *board, const char *hash)
 {
     char path[FILE_PATH_CAP], *text = NULL, *all_users = NULL;
@@ -414,6 +415,8 @@ static err_t put_user(const struct work *w, const char *board, const char *hash)
         e = textfile_read(path, USERS_MAX, &text);
     const char *old = e ? NULL : find_user(text, board);
     const char *rest = old ? strchr(old, '\n') : NULL;
+    if (!e && !old && !*hash)
+        e = err_fail(ERR_ARG, "%s: \"%.40s\" is no board of this rig", path, board);
     if (!e && asprintf(&all_users, "%.*s%s%s", (int)(old ? old - text : (long)strlen(text)), text,
                        rest ? rest + 1 : "", hash) < 0)
         e = err_fail(ERR_NOMEM, "%s: no memory", path);
@@ -487,5 +490,24 @@ err_t broker_add(const char *dir, const char *board, struct joinline *out)
     work_close(&w);
     if (e)
         explicit_bzero(out, sizeof *out);
+    return e;
+}
+
+err_t broker_remove(const char *dir, const char *board)
+{
+    struct broker_site site;
+    struct work w;
+    err_t e = broker_site(dir, &site);
+    if (!e && strcmp(board, site.conductor) == 0)
+        e = err_fail(ERR_ARG,
+                     "%s leads the rig, which is nothing without it: hdrig rig broker --conductor "
+                     "names another",
+                     board);
+    if (!e)
+        e = work_open(dir, &w);
+    if (e)
+        return e;
+    e = put_user(&w, board, "");
+    work_close(&w);
     return e;
 }

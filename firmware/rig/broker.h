@@ -39,4 +39,8 @@ MUST_USE err_t broker_knows(const char *dir, const char *board, bool *out);
  * err:  ERR_ARG (name), as broker_site, ERR_LOST (no mosquitto_passwd) */
 MUST_USE err_t broker_add(const char *dir, const char *board, struct joinline *out);
 
+/* Let a board in no more. The broker learns of it when it gets SIGHUP, and ends its connection.
+ * err:  ERR_ARG (no such board; the conductor), as broker_site. On error nothing has changed. */
+MUST_USE err_t broker_remove(const char *dir, const char *board);
+
 #endif

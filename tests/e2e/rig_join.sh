@@ -279,7 +279,42 @@ mkdir "$OUT/foreign"
     >"$OUT/spare.line" 2>"$ERR"
 join spare
 grep -q 'does not let it in yet: .*certificate' "$ERR" || fail "wrong authority: $(cat "$ERR")"
-kill -HUP "${pids[0]}"
+
+# a board that is removed is out at once, the others notice nothing; added again it is in again
+reload() {
+    kill -HUP "${pids[0]}"
+}
+cp "$MOSQUITTO/hdrig/users" "$OUT/users.txt"
+expect 2 'name of the board' rig remove --dir "$MOSQUITTO"
+expect 1 '"m9" is no board of this rig' rig remove m9 --dir "$MOSQUITTO"
+expect 1 '"m" is no board of this rig' rig remove m --dir "$MOSQUITTO"
+expect 1 'lead leads the rig' rig remove lead --dir "$MOSQUITTO"
+expect 1 'hdrig rig broker makes it' rig remove m2 --dir "$OUT/none"
+cmp -s "$OUT/users.txt" "$MOSQUITTO/hdrig/users" || fail "refusals change the users"
+says 0 'ready to capture$' lead status
+grep -v '^m2:' "$OUT/users.txt" >"$OUT/others.txt"
+seen=$(wc -l <"$OUT/mosquitto.txt")
+"$HDRIG" rig remove m2 --dir "$MOSQUITTO" 2>"$ERR" || fail "rig remove: $(cat "$ERR")"
+grep -q 'hdrig rig forget m2' "$ERR" || fail "nobody says what is left to do: $(cat "$ERR")"
+cmp -s "$OUT/others.txt" "$MOSQUITTO/hdrig/users" || fail "not only m2 is removed"
+mode "$MOSQUITTO/hdrig/users" "$(stat -c %a "$MOSQUITTO/hdrig/acl")"
+reload
+for _ in $(seq 400); do # its silence tells, mosquitto does not
+    on lead status >"$OUT/stdout.txt" 2>/dev/null
+    grep -q '^m2 .*is not there' "$OUT/stdout.txt" && break
+    sleep 0.1
+done
+says 3 '^m2 .*is not there' lead status
+says 3 '[Nn]ot authori' m2 status
+client m2 hear hdrig/1/rig/order >"$OUT/heard.txt" 2>"$ERR" && fail "m2 gets in"
+grep -q '[Nn]ot authori' "$ERR" || fail "m2 is kept out by $(cat "$ERR")"
+says 3 '^m1 .* ready to capture$' lead status
+tail -n +$((seen + 1)) "$OUT/mosquitto.txt" | grep -E 'm1|lead' >"$OUT/stdout.txt" &&
+    fail "others are disturbed: $(cat "$OUT/stdout.txt")"
+add m2 >"$OUT/m2.line"
+reload
+join m2
+grep -q 'the broker lets it in' "$ERR" || fail "join m2 again: $(cat "$ERR")"
 
 # no secret in arguments, logs and files that all can read
 rm -r "$SOCKETS"
