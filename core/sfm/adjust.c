@@ -10,12 +10,13 @@
 #include "core/base/lin.h"
 #include "core/base/num.h"
 #include "core/base/rotation.h"
+#include "core/sfm/adjust_inner.h"
 
 #include <float.h>
 #include <math.h>
 #include <string.h>
 
-enum { GROUPS = 8, GROUPS_MANY = 4, MANY = 64 }; // GROUPS_MANY: of more than MANY views
+enum { GROUPS_MANY = 4, MANY = 64 }; // GROUPS_MANY: of more than MANY views
 static const double BEHIND = 1e30, NEAREST = 1e-9,
                     WIDEST = 2, // tangent of 63 degrees
     DONE = 3e-6,                // relative gain of a last step
@@ -178,28 +179,6 @@ void adjust_move_point(double point[4], const double by[3])
 
 /* ---- normal equations ---- */
 
-/* A lens that a track was seen through: W of its free unknowns, and W H^-1. */
-struct lens_block {
-    int lens;
-    double w[3 * ADJUST_LENS], wh[3 * ADJUST_LENS];
-};
-
-struct normal {
-    const struct run *r;
-    const struct adjust *a;
-    double kernel2, damping;
-    int n_groups;
-    int n;                    // unknowns of cameras: 6 V, then the free ones of the lenses
-    int *at;                  // (n_lenses + 1) first unknown of each lens
-    double *sum;              // (groups, n, n) lower triangles
-    double *rhs;              // (groups, n)
-    double *cross;            // (groups, V, 18 + 18) W and W H^-1 of the observations of a track
-    struct lens_block *block; // (groups, V)
-    double *step;             // (n)
-    double *trial;            // (n_tracks, 4)
-    double cost[GROUPS];
-};
-
 static double cauchy_loss(double e2, double kernel2)
 {
     return 0.5 * kernel2 * log1p(e2 / kernel2);
@@ -208,7 +187,7 @@ static double cauchy_loss(double e2, double kernel2)
 /* Groups of tracks. The sums of each are a whole system, so large ones have fewer. */
 static int groups_of(int n_views)
 {
-    return n_views > MANY ? GROUPS_MANY : GROUPS;
+    return n_views > MANY ? GROUPS_MANY : ADJUST_GROUPS;
 }
 
 /* Tracks of a group. */
@@ -453,8 +432,7 @@ static void add_priors(const struct normal *m, double *s)
         }
 }
 
-/* Normal equations of the cameras at the present damping, factored in m->sum. */
-static err_t camera_system(struct normal *m, bool *ok)
+err_t adjust_sum_system(struct normal *m)
 {
     const struct adjust *a = m->a;
     const int n = m->n;
@@ -473,15 +451,15 @@ static err_t camera_system(struct normal *m, bool *ok)
         if ((k < 6 * a->n_views && (a->poses_fixed || !a->placed[k / 6])) ||
             !(s[(size_t)k * (size_t)n + (size_t)k] > 0))
             fix_unknown(s, n, k, m->rhs);
-    *ok = lin_cholesky(s, n);
     return OK;
 }
 
 static err_t camera_step(struct normal *m, bool *ok)
 {
-    err_t e = camera_system(m, ok);
+    err_t e = adjust_sum_system(m);
     memcpy(m->step, m->rhs, (size_t)m->n * sizeof *m->step);
-    if (!e && *ok)
+    *ok = !e && lin_cholesky(m->sum, m->n);
+    if (*ok)
         lin_solve(m->sum, m->n, m->step);
     return e;
 }
@@ -586,12 +564,6 @@ static bool move_lenses(const struct normal *m, struct adjust *a)
     return ok;
 }
 
-/* The state before a step. */
-struct backup {
-    double *pose;
-    struct adjust_lens *lens;
-};
-
 static void back_up(const struct adjust *a, const struct backup *b)
 {
     memcpy(b->pose, a->pose, (size_t)ADJUST_POSE * (size_t)a->n_views * sizeof *a->pose);
@@ -687,7 +659,7 @@ size_t adjust_plan(int n_views, int n_lenses, int n_tracks)
     return layout(&m, &b, &tmp, (int[3]){n_views, n_lenses, n_tracks}) ? SIZE_MAX : tmp.peak;
 }
 
-static err_t begin_adjust(const struct run *r, struct adjust *a, double kernel, struct normal *m,
+err_t adjust_begin_system(const struct run *r, struct adjust *a, double kernel, struct normal *m,
                           struct backup *b)
 {
     *m = (struct normal){
@@ -710,41 +682,13 @@ err_t adjust_run(const struct run *r, struct adjust *a, double kernel, int steps
     struct normal m;
     struct backup before;
     double *own = a->point;
-    err_t e = begin_adjust(r, a, kernel, &m, &before);
+    err_t e = adjust_begin_system(r, a, kernel, &m, &before);
     if (!e)
         e = minimise_cost(&m, a, &before, steps);
     if (a->point != own) { // the arena's array is released
         memcpy(own, a->point, points * sizeof *own);
         a->point = own;
     }
-    arena_reset(r->tmp, mark);
-    return e;
-}
-
-err_t adjust_deviations(const struct run *r, struct adjust *a, double scale, double *out)
-{
-    const size_t mark = arena_mark(r->tmp);
-    struct normal m;
-    struct backup before;
-    bool ok = false;
-    err_t e = begin_adjust(r, a, 1e3 * scale, &m, &before);
-    m.damping = 1e-9; // the gauge
-    if (!e)
-        e = camera_system(&m, &ok);
-    for (int i = 0; i < a->n_lenses && !e; i++)
-        for (int p = 0, k = m.at[i]; p < ADJUST_LENS; p++) {
-            double *to = out + ADJUST_LENS * i + p;
-            *to = a->lens[i].free[p] ? INFINITY : 0;
-            if (!a->lens[i].free[p])
-                continue;
-            memset(m.step, 0, (size_t)m.n * sizeof *m.step);
-            m.step[k] = 1;
-            if (ok) {
-                lin_solve(m.sum, m.n, m.step);
-                *to = scale * sqrt(fmax(0, m.step[k]));
-            }
-            k++;
-        }
     arena_reset(r->tmp, mark);
     return e;
 }

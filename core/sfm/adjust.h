@@ -49,12 +49,6 @@ enum { ADJUST_POSE = 12 };
 MUST_USE err_t adjust_run(const struct run *r, struct adjust *a, double kernel, int steps);
 size_t adjust_plan(int n_views, int n_lenses, int n_tracks);
 
-/* Standard errors of the free unknowns of all lenses, of the observations that are in, for expected
- * errors times `scale`; 0 where an unknown is fixed, infinite where nothing determines it.
- * out:  (n_lenses, ADJUST_LENS)
- * err:  ERR_NOMEM, ERR_CANCELLED. */
-MUST_USE err_t adjust_deviations(const struct run *r, struct adjust *a, double scale, double *out);
-
 /* Whether a perspective lens has no ray for the corners of its photographs, or one more than 63
  * degrees from the axis: such lenses are fisheyes. */
 bool adjust_too_wide(const struct adjust_lens *l);

@@ -470,7 +470,7 @@ static err_t judge_result(struct cal *c, int n)
 {
     struct boardcal_result *o = c->out;
     struct boardfit b = fit_of(c);
-    double *variance, sum = 0;
+    double sum = 0;
     const size_t mark = arena_mark(c->r->tmp);
     b.n = n;
     for (int i = 0; i < n; i++) {
@@ -481,22 +481,11 @@ static err_t judge_result(struct cal *c, int n)
     o->used = n;
     o->rms_px = sqrt(sum / n);
     b.sigma = fmax(sqrt(sum / num_max(2 * n - boardfit_unknowns(&b), 1)), 1e-6);
-    err_t e = boardfit_variances(c->r->tmp, &b, INFINITY, &variance);
-    for (int i = 0; i < b.n_cameras && !e; i++) {
-        const int at = boardfit_camera_at(&b, i);
-        for (int k = 0; k < 3 && at >= 0; k++) {
-            o->turned_sd[i] += variance[at + k];
-            o->shift_sd[i] += variance[at + 3 + k];
-        }
-        o->turned_sd[i] = sqrt(o->turned_sd[i]);
-        o->shift_sd[i] = sqrt(o->shift_sd[i]);
+    for (int i = 0; i < b.n_cameras; i++) {
+        c->camera_free[i] = o->part[i] == o->main_part;
         o->depth[i] = depth_of(c, i, n);
     }
-    for (int i = 0; i < b.n_lenses && !e; i++) {
-        int at = boardfit_lens_at(&b, i);
-        for (int k = 0; k < BOARDFIT_LENS; k++)
-            o->lens_sd[i][k] = c->lens[i].free[k] ? sqrt(variance[at++]) : 0;
-    }
+    err_t e = boardfit_covariance(c->r->tmp, &b, o->covariance, o->lens_sd);
     arena_reset(c->r->tmp, mark);
     return e;
 }
@@ -590,8 +579,6 @@ static err_t refine(struct cal *c, const struct boardfit_points *points)
         o->fit[i] = c->lens[i];
         o->lens[i] = c->lens[i].lens;
     }
-    memset(o->turned_sd, 0, sizeof o->turned_sd);
-    memset(o->shift_sd, 0, sizeof o->shift_sd);
     return e ? e : judge_result(c, c->in->n);
 }
 

@@ -37,15 +37,14 @@ struct boardcal_result {
     int main_part;              // the one with most cameras; only it is solved
     double pose[BOARDCAL_CAMERAS][BOARDFIT_POSE];
     double board[BOARDCAL_TAKES][BOARDFIT_POSE];
-    bool seen[BOARDCAL_TAKES];                       // the board has a pose
-    struct boardfit_lens fit[BOARDCAL_CAMERAS];      // (n_lenses) what of the lenses moves
-    struct lens lens[BOARDCAL_CAMERAS];              // (n_lenses)
-    double lens_sd[BOARDCAL_CAMERAS][BOARDFIT_LENS]; // standard errors; 0: fixed
-    double turned_sd[BOARDCAL_CAMERAS]; // rad, standard errors of the poses as the first sees them
-    double shift_sd[BOARDCAL_CAMERAS];  // units
-    double depth[BOARDCAL_CAMERAS];     // median depth of the corners it sees, units
-    double rms_px;                      // of the corners that agree
-    int used;                           // these
+    bool seen[BOARDCAL_TAKES];                            // the board has a pose
+    struct boardfit_lens fit[BOARDCAL_CAMERAS];           // (n_lenses) what of the lenses moves
+    struct lens lens[BOARDCAL_CAMERAS];                   // (n_lenses)
+    double lens_sd[BOARDCAL_CAMERAS][BOARDFIT_LENS];      // standard errors; 0: fixed
+    double covariance[BOARDCAL_CAMERAS][COVARIANCE_POSE]; // of the poses of the main part
+    double depth[BOARDCAL_CAMERAS]; // median depth of the corners it sees, units
+    double rms_px;                  // of the corners that agree
+    int used;                       // these
 };
 
 /* Whether all cameras are tied. */

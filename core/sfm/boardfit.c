@@ -540,7 +540,7 @@ size_t boardfit_plan(int n_cameras, int n_takes, int n_lenses, int n_points)
     struct arena a = arena_counter();
     struct backup before;
     struct normal m;
-    arena_hold(&a, arena_need((size_t)unknowns, sizeof *m.g));
+    arena_hold(&a, arena_need((size_t)n_cameras * BOARDFIT_POSE, sizeof(double)));
     (void)layout(&a, unknowns, n_points, &m); // a counter is never full
     (void)layout_backup(&a, &b, &before);
     return a.peak;
@@ -577,24 +577,47 @@ err_t boardfit_run(struct arena *tmp, struct boardfit *b, double kernel, int ste
     return e;
 }
 
-err_t boardfit_variances(struct arena *tmp, struct boardfit *b, double kernel, double **variance)
+/* The gauge of the cameras that are free: their twists are the first unknowns. */
+static err_t fix_gauge(struct arena *tmp, const struct boardfit *b, struct normal *m,
+                       struct covariance_gauge *g)
 {
-    struct normal m;
-    err_t e = arena_alloc(tmp, (size_t)boardfit_unknowns(b), sizeof **variance, variance);
-    const size_t mark = arena_mark(tmp);
-    if (!e)
-        e = layout(tmp, boardfit_unknowns(b), b->points.n, &m);
+    const int n = count_free(b->camera_free, b->n_cameras);
+    double *pose;
+    err_t e = arena_alloc(tmp, (size_t)n * BOARDFIT_POSE, sizeof *pose, &pose);
     if (e)
         return e;
-    collect(b, kernel, &m);
-    if (!lin_cholesky(m.h, m.n))
-        e = err_fail(ERR_ARG, "the board does not determine all cameras and lenses");
-    for (int i = 0; i < m.n && !e; i++) {
-        memset(m.step, 0, (size_t)m.n * sizeof *m.step);
-        m.step[i] = 1;
-        lin_solve(m.h, m.n, m.step);
-        (*variance)[i] = m.step[i];
+    for (int i = 0, k = 0; i < b->n_cameras; i++)
+        if (b->camera_free[i])
+            memcpy(pose + BOARDFIT_POSE * k++, b->pose[i], sizeof b->pose[i]);
+    *g = covariance_find_gauge(pose, NULL, n, false);
+    covariance_fix_gauge(g, m->h, m->n);
+    return OK;
+}
+
+err_t boardfit_covariance(struct arena *tmp, struct boardfit *b, double (*pose)[COVARIANCE_POSE],
+                          double (*lens)[BOARDFIT_LENS])
+{
+    const size_t mark = arena_mark(tmp);
+    struct covariance_gauge g;
+    struct normal m;
+    err_t e = layout(tmp, boardfit_unknowns(b), b->points.n, &m);
+    if (!e) {
+        collect(b, INFINITY, &m);
+        e = fix_gauge(tmp, b, &m, &g);
     }
+    if (!e && !lin_cholesky(m.h, m.n))
+        e = err_fail(ERR_ARG, "the board does not determine all cameras and lenses");
+    for (int i = 0, k = 0; i < b->n_cameras && !e; i++) {
+        memset(pose[i], 0, sizeof pose[i]);
+        if (b->camera_free[i])
+            covariance_of_pose(&g, m.h, m.n, k++, m.step, pose[i]);
+    }
+    for (int i = 0; i < b->n_lenses && !e; i++)
+        for (int k = 0, at = boardfit_lens_at(b, i); k < BOARDFIT_LENS; k++) {
+            lens[i][k] = 0;
+            if (b->lens[i].free[k])
+                lens[i][k] = sqrt(covariance_of_unknown(m.h, m.n, at++, m.step));
+        }
     arena_reset(tmp, mark);
     return e;
 }

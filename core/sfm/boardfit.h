@@ -7,6 +7,7 @@
 
 #include "core/base/arena.h"
 #include "core/base/lens.h"
+#include "core/sfm/covariance.h"
 
 enum {
     BOARDFIT_POSE = 12,                // R row-major, t
@@ -75,12 +76,14 @@ bool boardfit_error(const struct boardfit *b, const struct boardfit_corner *c, d
 MUST_USE err_t boardfit_run(struct arena *tmp, struct boardfit *b, double kernel, int steps,
                             double *cost);
 
-/* Variances of the unknowns for errors of sigma: of camera i from first_camera[i] on, of lens from
- * first_lens[i] on; -1: fixed.
- * out:  *variance lives in tmp.
+/* How well the free cameras and all lenses are known, for errors of sigma. Every camera that
+ * corners name is free: what moves all of them, and the boards, does not count (covariance.h), but
+ * lengths are those of the board.
+ * pose: (n_cameras); 0: fixed
+ * lens: (n_lenses) standard errors; 0: fixed
  * err:  ERR_NOMEM, ERR_ARG (something is not determined). */
-MUST_USE err_t boardfit_variances(struct arena *tmp, struct boardfit *b, double kernel,
-                                  double **variance);
+MUST_USE err_t boardfit_covariance(struct arena *tmp, struct boardfit *b,
+                                   double (*pose)[COVARIANCE_POSE], double (*lens)[BOARDFIT_LENS]);
 
 /* Where the unknowns of a camera, a lens, a board begin; those of a lens are its free ones. */
 int boardfit_camera_at(const struct boardfit *b, int camera);

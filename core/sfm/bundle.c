@@ -14,6 +14,7 @@
 #include "core/base/rotation.h"
 #include "core/sfm/bundle_inner.h"
 #include "core/sfm/connectivity.h"
+#include "core/sfm/covariance.h"
 #include "core/sfm/pair.h"
 #include "core/sfm/resect.h"
 #include "core/sfm/similarity.h"
@@ -536,7 +537,11 @@ static err_t layout_result(struct bundle_result *out, struct arena *keep, int n_
         e = arena_zalloc(keep, lenses, sizeof *out->lenses, &out->lenses);
     if (!e)
         e = arena_zalloc(keep, lenses, sizeof *out->selfcal, &out->selfcal);
-    return e;
+    if (!e)
+        e = arena_zalloc(keep, (size_t)n_views, sizeof *out->depth, &out->depth);
+    return e ? e
+             : arena_zalloc(keep, COVARIANCE_POSE * (size_t)n_views, sizeof *out->pose_covariance,
+                            &out->pose_covariance);
 }
 
 void bundle_plan(struct plan *p, int n_views, int n_lenses, const struct match_tracks *t)
@@ -685,11 +690,26 @@ static err_t complete_views(struct bundle *b)
     return e;
 }
 
-static err_t measure_lenses(struct bundle *b)
+/* Errors of the observations that are in over the expected ones: what is left of them, by the
+ * equations that are more than there are unknowns. */
+static double unbiased_scale(const struct bundle *b)
+{
+    const struct adjust *a = &b->a;
+    double all, sum = 0, more = bundle_result_redundancy(b, a->in, false, &all);
+    for (int t = 0; t < a->n_tracks; t++)
+        for (int i = a->first[t]; i < a->first[t + 1]; i++)
+            sum += a->in[i] ? adjust_error(a, a->point + 4 * (size_t)t, &a->obs[i]) : 0;
+    more -= a->poses_fixed ? 0 : 6 * count_placed(b) - COVARIANCE_GAUGE;
+    return sqrt(sum / fmax(1, more));
+}
+
+/* How well the best state is known. */
+static err_t measure_result(struct bundle *b, double *pose_covariance)
 {
     double deviation[BUNDLE_VIEWS_MAX * ADJUST_LENS];
-    err_t e = adjust_deviations(b->r, &b->a, b->scale, deviation);
-    for (int i = 0; i < b->a.n_lenses && !e; i++)
+    load_best(b);
+    err_t e = covariance_run(b->r, &b->a, unbiased_scale(b), deviation, pose_covariance);
+    for (int i = 0; i < b->a.n_lenses && b->cfg->find_distortion && !e; i++)
         memcpy(b->selfcal[i].deviation, deviation + ADJUST_LENS * i,
                sizeof b->selfcal[i].deviation);
     return e;
@@ -746,8 +766,8 @@ err_t bundle_run(const struct run *r, const struct views *v, const struct match_
         e = find_distortion(&b);
     if (!e && n_views > CORE && !own.rig_known && b.best.score > 0)
         e = complete_views(&b);
-    if (!e && own.find_distortion && b.best.score > 0)
-        e = measure_lenses(&b);
+    if (!e && (own.find_distortion || own.measure_poses) && b.best.score > 0)
+        e = measure_result(&b, own.measure_poses ? out->pose_covariance : NULL);
     if (!e)
         e = bundle_result_write(&b, out);
     arena_reset(r->tmp, mark);

@@ -35,6 +35,7 @@ struct bundle_config {
     bool focal_known; // keep the focal lengths
     bool find_distortion; // else lenses have the terms of lens.start
     bool find_principal;  // with find_distortion; else principal points are those of lens.start
+    bool measure_poses;   // find how well they are known
     bool rig_known;       // rotations and centres of `start` relative to each other are
                           // calibrated: only focal (if not known) and points move
 };
@@ -52,6 +53,9 @@ struct bundle_result {
     int n_lenses;
     struct lens *lenses;          // (n_lenses) as bundle_lens.start
     struct selfcal_lens *selfcal; // (n_lenses); zero unless find_distortion
+    double *pose_covariance;      // (n_views, COVARIANCE_POSE) in out's world (covariance.h)
+    float *depth;                 // (n_views) median of its points, out's world; 0: it has none
+                                  // both are 0 unless measure_poses
     float rms_px;                 // of the inliers
     int inliers, observations;
     int n_placed;    // views connected to the others by enough inliers

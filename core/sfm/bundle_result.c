@@ -5,6 +5,7 @@
 #include "core/base/num.h"
 #include "core/base/rotation.h"
 #include "core/sfm/connectivity.h"
+#include "core/sfm/covariance.h"
 #include "core/sfm/similarity.h"
 
 #include <math.h>
@@ -211,6 +212,36 @@ static void write_scales(struct bundle *b, const struct world *w, struct bundle_
     }
 }
 
+/* A twist's covariance in the view: turned about the axis, lengths of the result's world. */
+static void turn_covariance(int quarters, double scale, double c[COVARIANCE_POSE])
+{
+    static const int from[6] = {1, 0, 2, 4, 3, 5}; // x' = -y, y' = x, for both halves
+    static const double sign[6] = {-1, 1, 1, -1, 1, 1};
+    double was[COVARIANCE_POSE];
+    for (int k = 0; k < (quarters & 3); k++) {
+        memcpy(was, c, sizeof was);
+        for (int i = 0; i < COVARIANCE_POSE; i++)
+            c[i] = sign[i / 6] * sign[i % 6] * was[6 * from[i / 6] + from[i % 6]];
+    }
+    for (int i = 0; i < COVARIANCE_POSE; i++)
+        c[i] *= (i / 6 < 3 ? 1 : scale) * (i % 6 < 3 ? 1 : scale);
+}
+
+static void write_poses(struct bundle *b, const struct world *w, struct bundle_result *out)
+{
+    for (int v = 0; v < b->n_views; v++) {
+        int n = 0;
+        turn_covariance(bundle_turned(b, v), w->scale, out->pose_covariance + COVARIANCE_POSE * v);
+        for (int i = 0; i < b->tracks->n; i++) {
+            const struct match_observation *s = &b->tracks->obs[i];
+            if (s->view == v && b->best.in[i])
+                b->sorted[n++] =
+                    (float)adjust_depth(&b->a, v, b->best.point + 4 * (size_t)s->track);
+        }
+        out->depth[v] = (float)(w->scale * (double)num_median(b->sorted, (size_t)n));
+    }
+}
+
 /* Median over tracks of the widest angle between the first ray and another, px. */
 static double parallax_px(struct bundle *b)
 {
@@ -267,6 +298,8 @@ err_t bundle_result_write(struct bundle *b, struct bundle_result *out)
     write_cameras(b, &w, out);
     write_points(b, &w, out);
     write_scales(b, &w, out);
+    if (b->cfg->measure_poses)
+        write_poses(b, &w, out);
     rate_result(b, out);
     return OK;
 }

@@ -4,6 +4,7 @@
 #include "core/sfm/selfcal.h"
 
 #include "core/base/num.h"
+#include "core/sfm/covariance.h"
 #include "core/sfm/triangulate.h"
 
 #include <math.h>
@@ -243,7 +244,7 @@ static err_t try_change(struct selfcal *s)
     bool any = false, all = true;
     err_t e = fit_lenses(s);
     if (!e)
-        e = adjust_deviations(s->r, a, s->cfg->scale, s->deviation);
+        e = covariance_run(s->r, a, s->cfg->scale, s->deviation, NULL);
     measure_left_out(s, s->after);
     for (int i = 0; i < a->n_lenses && !e; i++) {
         const bool tried = !is_same_model(&a->lens[i], &s->kept.lens[i]);

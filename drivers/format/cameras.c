@@ -1,5 +1,6 @@
 #include "drivers/format/cameras.h"
 
+#include "core/base/num.h"
 #include "core/base/rotation.h"
 #include "drivers/format/file.h"
 #include "drivers/format/json.h"
@@ -94,6 +95,22 @@ err_t cameras_set_lens(const char *what, const char *name, struct lens *l, struc
     return OK;
 }
 
+void cameras_set_covariance(const double covariance[COVARIANCE_POSE], double unit, double depth,
+                            struct rig_view *out)
+{
+    double deviation[2];
+    covariance_deviations(covariance, deviation);
+    out->has_deviation = out->has_covariance = isfinite(deviation[0] + deviation[1]) && depth > 0;
+    if (!out->has_covariance)
+        return;
+    out->deviation[0] = (float)(deviation[0] * 180 / NUM_PI);
+    out->deviation[1] = (float)(deviation[1] * unit / depth);
+    for (int row = 0, k = 0; row < 6; row++)
+        for (int i = 0; i <= row; i++)
+            out->covariance[k++] =
+                (float)(covariance[6 * row + i] * (row < 3 ? 1 : unit) * (i < 3 ? 1 : unit));
+}
+
 /* "model" and "params" of an object. */
 static err_t get_lens(const char *what, const struct cJSON *object, struct lens *out)
 {
@@ -151,6 +168,19 @@ static err_t get_deviation(const char *what, const struct cJSON *object, struct 
     return e;
 }
 
+static err_t get_covariance(const char *what, const struct cJSON *object, struct rig_view *out)
+{
+    out->has_covariance = json_member(object, "covariance") != NULL;
+    if (!out->has_covariance)
+        return OK;
+    err_t e = json_floats(what, object, "covariance", CAMERAS_COVARIANCE, out->covariance);
+    for (int row = 0, k = 0; row < 6 && !e; k += ++row + 1)
+        if (!(out->covariance[k] >= 0))
+            e = err_fail(ERR_FORMAT, "%s: a variance in \"covariance\" is %g, must be 0 or more",
+                         what, (double)out->covariance[k]);
+    return e;
+}
+
 /* The physical camera, how well its pose is known, and its light. */
 static err_t get_physical(const char *what, const struct cJSON *object, struct rig_view *out)
 {
@@ -163,6 +193,8 @@ static err_t get_physical(const char *what, const struct cJSON *object, struct r
         memcpy(out->camera, camera, strlen(camera) + 1);
     out->has_light = light != NULL;
     err_t e = get_deviation(what, object, out);
+    if (!e)
+        e = get_covariance(what, object, out);
     if (!light || e)
         return e;
     e = get_stops(what, light, "vignetting_stops", out->light.term);
@@ -278,6 +310,9 @@ static void put_physical(FILE *f, const struct rig_view *v)
     if (v->has_deviation)
         fprintf(f, ",\n     \"deviation\": [%.9g, %.9g]", (double)v->deviation[0],
                 (double)v->deviation[1]);
+    for (int k = 0; k < CAMERAS_COVARIANCE && v->has_covariance; k++)
+        fprintf(f, "%s%.9g%s", k ? ", " : ",\n     \"covariance\": [", (double)v->covariance[k],
+                k + 1 < CAMERAS_COVARIANCE ? "" : "]");
     if (!v->has_light)
         return;
     fputs(",\n     \"light\": {", f);

@@ -9,18 +9,21 @@
  * "h": ..., "model": ..., "params": [...]} tells how the photograph of this view was taken.
  * "camera" names the physical camera, and "light": {"vignetting_stops": [v2, v4, v6], "gain_stops":
  * [r, g, b]} is what it does to light (core/photo/shade.h), if that is known. "deviation":
- * [degrees, share] has the standard errors of a calibrated pose. Numbers have nine digits, params
- * seventeen: written and read back they are the same.
+ * [degrees, share] has the standard errors of a calibrated pose, "covariance" that of its rotation
+ * about the camera's axes, rad, and of its shift along them, lengths of the file: 21 numbers, by
+ * row up to the diagonal. What all cameras do together is not in these (core/sfm/covariance.h).
+ * Numbers have nine digits, params seventeen: written and read back they are the same.
  * thread: any. */
 #ifndef FORMAT_CAMERAS_H
 #define FORMAT_CAMERAS_H
 
 #include "core/base/types.h"
 #include "core/photo/shade.h"
+#include "core/sfm/covariance.h"
 
 #include <stdio.h>
 
-enum { CAMERAS_MAX = 4096 }; // views of one set
+enum { CAMERAS_MAX = 4096, CAMERAS_COVARIANCE = 21 }; // views of one set; numbers of a pose
 
 #define CAMERAS_NOT_ROTATED 1e-3 // most that R R^T of a file may differ from the identity
 
@@ -40,6 +43,8 @@ struct rig_view {
     bool has_deviation;
     float deviation[2]; // standard errors: of the rotation, degrees; of the centre, as a share of
                         // the distance to what it sees; >= 0
+    bool has_covariance;
+    float covariance[CAMERAS_COVARIANCE]; // lower triangle by rows, variances >= 0
 };
 
 /* Known cameras; no two have the same name. */
@@ -95,6 +100,12 @@ MUST_USE err_t cameras_check(const char *what, const char *name, struct camera *
  * err:  ERR_FORMAT (numbers that lens_init refuses); `what` and `name` begin the sentence. */
 MUST_USE err_t cameras_set_lens(const char *what, const char *name, struct lens *l,
                                 struct rig_view *out);
+
+/* Set how well a pose is known: covariance and deviation; neither if that is infinite.
+ * unit:  lengths of the file of one of the covariance
+ * depth: distance to what it sees, lengths of the file; 0: nothing */
+void cameras_set_covariance(const double covariance[COVARIANCE_POSE], double unit, double depth,
+                            struct rig_view *out);
 
 /* Refuse two views of one name.
  * err:  ERR_FORMAT naming it, ERR_NOMEM. */

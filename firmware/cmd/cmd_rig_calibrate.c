@@ -4,10 +4,10 @@
 #include "firmware/base/engine.h"
 #include "firmware/recon/rigcal.h"
 
+#include "core/base/num.h"
 #include "drivers/format/origin.h"
 #include "drivers/format/partial.h"
 
-#include <math.h>
 #include <string.h>
 
 struct request {
@@ -40,28 +40,31 @@ static err_t list_take(const struct request *rq, int i, struct state *st)
     return e;
 }
 
-/* Worst of the standard errors. */
+/* How well each camera is known: one that is tied badly stands out. */
+static void print_cameras(const struct rig *rig)
+{
+    int wide = 0;
+    for (int i = 0; i < rig->n; i++)
+        wide = num_max(wide, (int)strlen(rig->views[i].name));
+    for (int i = 0; i < rig->n; i++) {
+        const struct rig_view *v = &rig->views[i];
+        if (v->has_deviation)
+            printf("  %-*s  +- %.3f degrees, %.2f %% of its distance to the scene\n", wide, v->name,
+                   (double)v->deviation[0], 100 * (double)v->deviation[1]);
+    }
+}
+
 static void print_result(const struct request *rq, const struct rigcal_result *r)
 {
-    float turned = 0, shift = 0;
-    int known = 0;
-    for (int i = 0; i < r->rig.n; i++) {
-        const struct rig_view *v = &r->rig.views[i];
-        known += v->has_deviation;
-        turned = fmaxf(turned, v->has_deviation ? v->deviation[0] : 0);
-        shift = fmaxf(shift, v->has_deviation ? v->deviation[1] : 0);
-    }
     printf("%s: %d cameras from %d take%s, %d %s fit to %.2f px", rq->out, r->rig.n, rq->n,
            rq->n == 1 ? "" : "s", r->inliers, r->board ? "corners of tags" : "points in views",
            (double)r->rms_px);
     if (r->points > 0)
         printf(", %d points beside them", r->points);
-    if (known == r->rig.n)
-        printf(", each within %.3f degrees and %.2f %% of its distance to the scene",
-               (double)turned, 100 * (double)shift);
     puts(r->rig.metres ? ", in metres"
          : r->board    ? ", the scale is free: --tag MM gives the printed size of a tag"
                        : "");
+    print_cameras(&r->rig);
     for (int i = 0; i < r->notes->n_found; i++) {
         const struct job_lens *l = &r->notes->found[i];
         int n = (int)strlen(l->camera_id); // parts that EXIF lacks leave spaces

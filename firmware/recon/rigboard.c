@@ -335,9 +335,7 @@ static err_t write_view(const struct rigcal_job *job, const struct rigboard *b, 
         out->cam.t[k] = (float)(f->pose[i][9 + k] * unit);
     out->cam.w = s->taken_w;
     out->cam.h = s->taken_h;
-    out->has_deviation = true;
-    out->deviation[0] = (float)(f->turned_sd[i] * 180 / NUM_PI);
-    out->deviation[1] = (float)(f->shift_sd[i] / fmax(f->depth[i], 1e-9));
+    cameras_set_covariance(f->covariance[i], unit, f->depth[i] * unit, out);
     return cameras_set_lens("rig", s->name, &lens, out);
 }
 

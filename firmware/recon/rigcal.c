@@ -13,6 +13,7 @@
 #include "core/photo/exposure_stack.h"
 #include "core/photo/prep.h"
 #include "core/photo/response.h"
+#include "core/sfm/covariance.h"
 #include "core/sfm/match.h"
 #include "core/sfm/rigcheck.h"
 #include "drivers/format/imageset.h"
@@ -46,6 +47,8 @@ struct rigcal {
     struct selfcal_lens selfcal[RIGCHECK_MOST];
     struct camera cams[RIGCHECK_MOST];
     bool placed[RIGCHECK_MOST];
+    double covariance[RIGCHECK_MOST * COVARIANCE_POSE];
+    float depth[RIGCHECK_MOST];
     struct extent extent[RIGCHECK_MOST];
 };
 
@@ -87,11 +90,16 @@ static void keep_found(struct rigcal *c, const struct bundle_result *b)
     memcpy(c->cams, b->cams, (size_t)c->shape.n * sizeof c->cams[0]);
     memcpy(c->placed, b->placed, (size_t)c->shape.n * sizeof c->placed[0]);
     memcpy(c->lens, b->lenses, (size_t)b->n_lenses * sizeof c->lens[0]);
+    memcpy(c->covariance, b->pose_covariance,
+           (size_t)c->shape.n * COVARIANCE_POSE * sizeof c->covariance[0]);
+    memcpy(c->depth, b->depth, (size_t)c->shape.n * sizeof c->depth[0]);
     memcpy(c->selfcal, b->selfcal, (size_t)b->n_lenses * sizeof c->selfcal[0]);
     c->found.cams = c->cams;
     c->found.placed = c->placed;
     c->found.lenses = c->lens;
     c->found.selfcal = c->selfcal;
+    c->found.pose_covariance = c->covariance;
+    c->found.depth = c->depth;
     c->found.points = c->found.depth_scale = NULL;
 }
 
@@ -105,7 +113,8 @@ static struct bundle_config config_of(const struct rigcal *c, bool resampled)
                                   .pinhole = resampled ? l->pinhole : NULL,
                                   .focal_known = c->job->cfg->fov_deg > 0,
                                   .find_distortion = c->job->cfg->lens != RECIPE_LENS_PINHOLE,
-                                  .find_principal = c->job->cfg->principal};
+                                  .find_principal = c->job->cfg->principal,
+                                  .measure_poses = true};
 }
 
 /* Cameras and lenses from the first take that shows all of them. */
@@ -251,8 +260,7 @@ static err_t check_take(struct rigcal *c, int i, struct rigcheck_camera *out)
     return e;
 }
 
-static err_t write_view(const struct rigcal *c, int i, const struct rigcheck_camera *check,
-                        struct rig_view *out)
+static err_t write_view(const struct rigcal *c, int i, struct rig_view *out)
 {
     const struct shot *s = lenses_shot(c->job->take[0].capture, name_of(c, i));
     struct lens lens;
@@ -264,9 +272,7 @@ static err_t write_view(const struct rigcal *c, int i, const struct rigcheck_cam
     out->cam = c->found.cams[i];
     out->cam.w = s->taken_w;
     out->cam.h = s->taken_h;
-    out->has_deviation = check->known;
-    out->deviation[0] = check->turned_sd_deg;
-    out->deviation[1] = check->shift_sd;
+    cameras_set_covariance(c->covariance + COVARIANCE_POSE * i, 1, (double)c->depth[i], out);
     return cameras_set_lens("rig", s->name, &lens, out);
 }
 
@@ -279,8 +285,6 @@ static err_t write_result(struct rigcal *c)
     const bool checked = c->shape.n >= RIGCHECK_LEAST;
     for (int i = 0; i < c->job->n && c->job->n > 1 && checked && !e; i++)
         e = check_take(c, i, check);
-    if (!e && checked)
-        e = rigcheck_run(c->r, &c->shape, &c->all, c->found.cams, check);
     const size_t keep = arena_mark(c->r->keep), tmp = arena_mark(c->r->tmp);
     if (!e)
         e = see_take(c, 0, false);
@@ -290,7 +294,7 @@ static err_t write_result(struct rigcal *c)
         memcpy(c->out->notes->found, c->seen->found, sizeof c->seen->found);
     }
     for (int i = 0; i < c->shape.n && !e; i++)
-        e = write_view(c, i, &check[i], &rig->views[rig->n++]);
+        e = write_view(c, i, &rig->views[rig->n++]);
     arena_reset(c->r->keep, keep);
     arena_reset(c->r->tmp, tmp);
     c->out->rms_px = c->found.rms_px;
@@ -312,9 +316,12 @@ static void scale_rig(const struct rigcal *c, const struct rigboard *b)
                                        "says nothing about the scale, which stays free");
         return;
     }
-    for (int i = 0; i < rig->n; i++)
+    for (int i = 0; i < rig->n; i++) {
         for (int k = 0; k < 3; k++)
             rig->views[i].cam.t[k] = (float)((double)rig->views[i].cam.t[k] * metres);
+        cameras_set_covariance(c->covariance + COVARIANCE_POSE * i, metres,
+                               metres * (double)c->depth[i], &rig->views[i]);
+    }
     rig->metres = true;
 }
 

@@ -33,6 +33,9 @@ take one-few 0 1 2 3 4
 succeed rig calibrate "$OUT/one" "$OUT/two" --out "$RIG"
 grep -q '6 cameras from 2 takes' "$OUT/stdout.txt" || fail "it says: $(cat "$OUT/stdout.txt")"
 [ "$(grep -c deviation "$RIG")" = 6 ] || fail "no deviations in $(cat "$RIG")"
+[ "$(grep -c covariance "$RIG")" = 6 ] || fail "no covariances in $(cat "$RIG")"
+[ "$(grep -c '^  train_0._0.*png  *+- 0\.[0-9]* degrees, [0-9.]* % of' "$OUT/stdout.txt")" = 6 ] ||
+    fail "not every camera has its error: $(cat "$OUT/stdout.txt")"
 
 # again, over the former one, but over nothing else
 succeed rig calibrate "$OUT/one" --out "$RIG"
@@ -66,8 +69,11 @@ grep -Eq 'w8: the camera of train_ldr_003_0.png stands .* leave this take out|th
 expect 2 'no --views, --lens' simulate --rig "$RIG" --views 4 --out "$OUT/refused"
 expect 2 'none.json' simulate --rig "$OUT/none.json" --out "$OUT/refused"
 
-# known, and as the calibration says
+# known, and as the calibration says, also as a former version wrote it
+sed -z 's/,\n *"covariance": \[[^]]*\]//g' "$RIG" >"$OUT/former.json"
+quick former --set "rig.file=$OUT/former.json"
 quick known --set "rig.file=$RIG"
+cmp -s "$OUT/known/scene.ply" "$OUT/former/scene.ply" || fail "a former rig.json is another rig"
 [ "$(grep -c '"checked": true' "$OUT/known/report.json")" = 6 ] || fail "cameras are not checked"
 [ "$(moved known)" = 0 ] || fail "still cameras are accused: $(cat "$ERR")"
 grep -q '"found": true' "$OUT/known/report.json" && fail "known cameras were searched"

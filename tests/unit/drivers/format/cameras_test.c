@@ -3,6 +3,7 @@
 #include "drivers/format/name.h"
 
 #include "core/base/lin.h"
+#include "core/base/num.h"
 #include "core/base/rotation.h"
 #include "tests/unit/tmpdir.h"
 
@@ -27,6 +28,24 @@ static err_t find(const struct rig *rig, const char *name, int w, int h, struct 
 {
     const struct cameras_picture picture = {name, w, h, 1};
     return cameras_find("r", rig, &picture, out);
+}
+
+/* All but the photograph. */
+static void assert_same_view(const struct rig_view *a, const struct rig_view *b)
+{
+    assert_string_equal(a->name, b->name);
+    assert_memory_equal(&a->cam, &b->cam, sizeof b->cam);
+    assert_int_equal(a->lens.model, b->lens.model);
+    assert_memory_equal(a->lens.term, b->lens.term, sizeof b->lens.term);
+    assert_true(a->has_exposure == b->has_exposure);
+    assert_true(a->exposure_log2 == b->exposure_log2);
+    assert_int_equal(a->photograph.w, b->photograph.w);
+    assert_string_equal(a->camera, b->camera);
+    assert_true(a->has_light == b->has_light);
+    assert_memory_equal(a->deviation, b->deviation, sizeof b->deviation);
+    assert_true(a->has_covariance == b->has_covariance);
+    assert_memory_equal(a->covariance, b->covariance, sizeof b->covariance);
+    assert_memory_equal(&a->light, &b->light, sizeof b->light);
 }
 
 static void what_is_written_is_read_bit_for_bit(void **state)
@@ -55,7 +74,9 @@ static void what_is_written_is_read_bit_for_bit(void **state)
                              true,
                              {{-0.5, 0.25, 0}, {0.125, 0, -1.5}},
                              true,
-                             {0.0123456789f, 1e-9f}},
+                             {0.0123456789f, 1e-9f},
+                             true,
+                             {1e-8f, -3e-9f, 2e-8f, 0, 0, 1.f / 3, [20] = 1e-40f}},
                             {"b.png",
                              {1, 65536, 1, 2, 3, 4, {0, 0, 0, -1}, {0, 0, 0}},
                              {0},
@@ -66,6 +87,8 @@ static void what_is_written_is_read_bit_for_bit(void **state)
                              false,
                              {{0}, {0}},
                              false,
+                             {0},
+                             false,
                              {0}}};
     struct rig in = {.n = 2, .views = v}, out;
     const char *path = tmpdir_path("cameras.json");
@@ -73,17 +96,7 @@ static void what_is_written_is_read_bit_for_bit(void **state)
     assert_int_equal(cameras_read(path, &out), OK);
     assert_int_equal(out.n, 2);
     for (int i = 0; i < 2; i++) {
-        assert_string_equal(out.views[i].name, v[i].name);
-        assert_memory_equal(&out.views[i].cam, &v[i].cam, sizeof v[i].cam);
-        assert_int_equal(out.views[i].lens.model, v[i].lens.model);
-        assert_memory_equal(out.views[i].lens.term, v[i].lens.term, sizeof v[i].lens.term);
-        assert_true(out.views[i].has_exposure == v[i].has_exposure);
-        assert_true(out.views[i].exposure_log2 == v[i].exposure_log2);
-        assert_int_equal(out.views[i].photograph.w, v[i].photograph.w);
-        assert_string_equal(out.views[i].camera, v[i].camera);
-        assert_true(out.views[i].has_light == v[i].has_light);
-        assert_memory_equal(out.views[i].deviation, v[i].deviation, sizeof v[i].deviation);
-        assert_memory_equal(&out.views[i].light, &v[i].light, sizeof v[i].light);
+        assert_same_view(&out.views[i], &v[i]);
         out.views[i].photograph.lens.limit = 0; // follows from the rest
         assert_memory_equal(&out.views[i].photograph, &v[i].photograph, sizeof v[i].photograph);
     }
@@ -91,6 +104,30 @@ static void what_is_written_is_read_bit_for_bit(void **state)
     assert_true(out.views[1].cam.w == 31 && out.views[1].lens.term[1] == 1e-9);
     assert_true(out.views[0].cam.w == 640 && out.views[0].lens.model == LENS_OPENCV);
     cameras_free(&out);
+}
+
+/* By rows up to the diagonal, in lengths of the file; not without a depth, or where it is infinite.
+ */
+static void covariances_are_taken_over(void **state)
+{
+    struct rig_view v = {0};
+    double c[COVARIANCE_POSE];
+    (void)state;
+    for (int i = 0; i < COVARIANCE_POSE; i++)
+        c[i] = 1e-6 * (i / 6 == i % 6 ? 4 : i / 6 + i % 6);
+    cameras_set_covariance(c, 10, 20, &v);
+    assert_true(v.has_covariance && v.has_deviation);
+    assert_float_equal(v.covariance[0], 4e-6, 1e-12);  // w0 w0
+    assert_float_equal(v.covariance[4], 3e-6, 1e-12);  // w2 w1
+    assert_float_equal(v.covariance[6], 3e-5, 1e-11);  // v0 w0
+    assert_float_equal(v.covariance[20], 4e-4, 1e-10); // v2 v2
+    assert_float_equal(v.deviation[0], sqrt(12e-6) * 180 / NUM_PI, 1e-6);
+    assert_float_equal(v.deviation[1], sqrt(12e-6) * 10 / 20, 1e-8);
+    cameras_set_covariance(c, 10, 0, &v);
+    assert_false(v.has_covariance || v.has_deviation);
+    c[35] = INFINITY;
+    cameras_set_covariance(c, 10, 20, &v);
+    assert_false(v.has_covariance || v.has_deviation);
 }
 
 static void the_unit_is_kept(void **state)
@@ -163,6 +200,9 @@ static void numbers_are_checked(void **state)
                                            {"\"cx\":4", "\"cx\":\"4\""},
                                            {"\"fx\":5", "\"fx\":5,\"deviation\":[-1,0]"},
                                            {"\"fx\":5", "\"fx\":5,\"deviation\":[1]"},
+                                           {"\"fx\":5", "\"fx\":5,\"covariance\":[1,0,1]"},
+                                           {"\"fx\":5", "\"fx\":5,\"covariance\":[1,0,1,0,0,1,0,"
+                                                        "0,0,1,0,0,0,0,1,0,0,0,0,0,-1]"},
                                            {"[1,0,0,0]", "[1,0,0]"},
                                            {"[1,0,0,0]", "[1.01,0,0,0]"},
                                            {"[1,0,0,0]", "[0,0,0,0]"},
@@ -367,6 +407,7 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(what_is_written_is_read_bit_for_bit),
+        cmocka_unit_test(covariances_are_taken_over),
         cmocka_unit_test(the_unit_is_kept),
         cmocka_unit_test(a_full_disk_is_noticed),
         cmocka_unit_test(nonsense_is_refused_with_its_name),
