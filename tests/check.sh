@@ -90,8 +90,8 @@ smoke='bad_input capture formats golden quality'
 without=
 longest='plan_test selfcal_test session_focus_test session_random_test session_start_test'
 # Half a minute and more each, and other tests look at the same code: these wait for `long`.
-slow='boards bracket_scene budget lens masks network page_rig rig selftest shapes simulated size tags'
-slow+=' browsers light view view_tools walk'
+slow='boards bracket_scene budget lens network page_rig rig selftest shapes simulated size tags'
+slow+=' masks browsers light view view_tools walk'
 is_slow() { # name of a script
     case " $slow " in *" $1 "*) ;; *) false ;; esac
 }

@@ -1,8 +1,8 @@
 /* The view is rendered at open, and again when the file of `at` names another one: the camera has
- * moved. With somebody who walks by, it is rendered with him in several places, too, and frames take
- * turns. Every frame is that linear radiance through the sensor at the frame's true exposure; the
- * frame's number chooses the noise. The name of the unit has the seed, the view at open, and the
- * family and parameter of the curve: they determine the sensor and its response. */
+ * moved. With somebody who walks by, it is rendered with him in several places, too, which frames
+ * take in turn. Every frame is that linear radiance through the sensor at the frame's true
+ * exposure; the frame's number chooses the noise. The name of the unit has the seed, the view at
+ * open, and the family and parameter of the curve: they determine the sensor and its response. */
 #include "sim/device/camera_sim.h"
 
 #include "sim/sensor/sensor.h"

@@ -11,8 +11,8 @@
  *   full=US                                          exposure at which radiance 1 saturates
  *   well=E                                           electrons at saturation (10000): noise
  *   flicker=X hz=X line=US                           of the light; us per row, rolling shutter
- *   moving=SHARE                                     of the picture that somebody covers, who stands
- *                                                    elsewhere in each frame (sim/world/passer.h)
+ *   moving=SHARE                                     of the picture that somebody covers, each
+ *                                                    frame elsewhere (sim/world/passer.h)
  *
  * and the keys of sim/device/feed.c: clock, timing, metadata, faults (sim/device/fault.h), truth.
  * When frames start: skew=US of frame 0 after open, drift=PPM of the sensor's clock, wobble=US of

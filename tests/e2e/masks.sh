@@ -59,9 +59,9 @@ nothing_at "$OUT/no"
 # somebody walks by while a rig captures: the take has masks and asks for another one; its scene
 # does not see what they hide
 rig=()
+camera=sim:kind=room,seed=5,size=112,samples=1,fps=20,clock=virtual,views=4,moving=0.1
 for view in 0 1 2 3; do
-    rig+=(--camera
-        "sim:kind=room,seed=5,size=112,samples=1,fps=20,clock=virtual,views=4,moving=0.1,view=$view")
+    rig+=(--camera "$camera,view=$view")
 done
 succeed capture "${rig[@]}" --out "$OUT/take"
 grep -q "of camera .'s picture moved between its exposures: take it again" \
