@@ -11,7 +11,11 @@
 #include <math.h>
 #include <string.h>
 
-enum { WEIGHT_BITS = 22, SIDE_MAX = 1 << 20 };
+enum {
+    WEIGHT_BITS = 22,
+    SIDE_MAX = 1 << 20,
+    RIM = 2 // px, reach of a cubic
+};
 
 static const double EXPOSURE_MIN = 1e-8; // core/photo/README.md 1.2
 
@@ -416,9 +420,10 @@ void prep_mask(const uint8_t *rgb, const struct extent *px, uint8_t *masked)
 {
     for (int k = 0; k < px->w * px->h; k++) {
         const int x = k % px->w, y = k / px->w;
-        const int y1 = num_min(y + 2, px->h), x0 = num_max(x - 1, 0), x1 = num_min(x + 2, px->w);
+        const int x0 = num_max(x - RIM, 0), x1 = num_min(x + RIM + 1, px->w);
+        const int y1 = num_min(y + RIM + 1, px->h);
         masked[k] = 0;
-        for (int v = num_max(y - 1, 0); v < y1; v++)
+        for (int v = num_max(y - RIM, 0); v < y1; v++)
             for (int u = x0; u < x1; u++)
                 masked[k] |= rgb[3 * ((size_t)v * (size_t)px->w + (size_t)u)] < 255;
     }

@@ -67,8 +67,7 @@ struct prep_source {
 };
 
 /* A mask that was resampled as its photograph, (h, w, 3), becomes that of struct views, (h, w): a
- * pixel counts if it and those around it, whose footprints resampling mixes with its own, are
- * white. */
+ * pixel counts if it and those up to 2 px away, as far as a cubic mixes them, are white. */
 void prep_mask(const uint8_t *rgb, const struct extent *px, uint8_t *masked);
 
 /* As prep_run.
