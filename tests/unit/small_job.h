@@ -29,8 +29,9 @@ struct small_job {
 
 static inline size_t small_job_room(int n)
 {
-    return arena_add(draw_plan(n, SMALL_SIZE, SMALL_SIZE),
-                     draw_confidence_plan(n, SMALL_SIZE, SMALL_SIZE));
+    return arena_add(arena_add(draw_plan(n, SMALL_SIZE, SMALL_SIZE),
+                               draw_confidence_plan(n, SMALL_SIZE, SMALL_SIZE)),
+                     arena_need((size_t)SMALL_SIZE * SMALL_SIZE, 1));
 }
 
 /* n splats; the struct must not move. */
