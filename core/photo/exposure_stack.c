@@ -115,33 +115,28 @@ static err_t choose_place(void *ctx, int place, int worker)
     return run_check(s->r, "exposures");
 }
 
-static void swap_photos(struct views *v, int a, int b)
+static void swap_bytes(void *a, void *b, size_t n)
 {
-    char name[NAME_CAP];
-    const float log2t = v->log2t[a];
-    uint8_t *p = views_rgb(v, a), *q = views_rgb(v, b);
-    if (a == b)
-        return;
-    for (size_t k = 0; k < count_values(v, a); k++) {
+    uint8_t *p = a, *q = b;
+    for (size_t k = 0; k < n; k++) {
         const uint8_t x = p[k];
         p[k] = q[k];
         q[k] = x;
     }
-    for (size_t k = 0; k < extent_pixels(&v->extent[a]) && v->masked; k++) {
-        const uint8_t x = views_masked(v, a)[k];
-        views_masked(v, a)[k] = views_masked(v, b)[k];
-        views_masked(v, b)[k] = x;
-    }
-    for (size_t k = 0; k < count_values(v, a) && v->deep; k++) {
-        const uint16_t x = views_rgb16(v, a)[k];
-        views_rgb16(v, a)[k] = views_rgb16(v, b)[k];
-        views_rgb16(v, b)[k] = x;
-    }
-    memcpy(name, v->names[a], NAME_CAP);
-    memcpy(v->names[a], v->names[b], NAME_CAP);
-    memcpy(v->names[b], name, NAME_CAP);
-    v->log2t[a] = v->log2t[b];
-    v->log2t[b] = log2t;
+}
+
+static void swap_photos(struct views *v, int a, int b)
+{
+    const size_t pixels = extent_pixels(&v->extent[a]);
+    if (a == b)
+        return;
+    swap_bytes(views_rgb(v, a), views_rgb(v, b), 3 * pixels);
+    if (v->masked)
+        swap_bytes(views_masked(v, a), views_masked(v, b), pixels);
+    if (v->deep)
+        swap_bytes(views_rgb16(v, a), views_rgb16(v, b), 6 * pixels);
+    swap_bytes(v->names[a], v->names[b], NAME_CAP);
+    swap_bytes(&v->log2t[a], &v->log2t[b], sizeof *v->log2t);
 }
 
 void exposure_stack_drop(struct views *v, const bool *keep)
