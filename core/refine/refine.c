@@ -399,20 +399,6 @@ static err_t learn_view(struct refine *f)
     return OK;
 }
 
-/* A saved state is that between two steps. */
-static err_t take_step(struct refine *f)
-{
-    const struct run *r = f->r;
-    struct run whole = *r;
-    err_t e = OK;
-    if (f->cfg->saver)
-        whole.cancel = NULL;
-    f->r = &whole;
-    for (int k = 0; k < draws_of(f) && !e; k++)
-        e = learn_view(f);
-    f->r = r;
-    return e;
-}
 
 static void add_note(struct refine *f, const char *fmt, ...) __attribute__((format(printf, 2, 3)));
 
@@ -727,33 +713,66 @@ static err_t begin_steps(struct refine *f)
     return e ? e : measure_held_out(f, &f->rep->held_out_db[0]);
 }
 
+static err_t take_step(struct refine *f)
+{
+    const int round = round_of(f->v->n);
+    err_t e = OK;
+    f->level = pace_level(f->step, f->steps, f->levels);
+    for (int k = 0; k < draws_of(f) && !e; k++)
+        e = learn_view(f);
+    f->expected += f->pace.seconds[f->level];
+    f->rep->steps = ++f->step;
+    if (!e && f->step % round == 0)
+        e = end_round(f, round);
+    if (!e)
+        e = update_bands(f);
+    if (!e && outliers_due(f->step, f->steps))
+        e = outliers_judge(f->r, &f->outliers, &f->raster, f->s);
+    return e;
+}
+
+/* A step with all that follows from it: a saved state is that between two. */
+static err_t take_whole_step(struct refine *f)
+{
+    const struct run *r = f->r;
+    struct run whole = *r;
+    if (f->cfg->saver)
+        whole.cancel = NULL;
+    f->r = &whole;
+    err_t e = take_step(f);
+    f->r = r;
+    return e;
+}
+
+/* Which scene it shall be. */
+static err_t finish_steps(struct refine *f)
+{
+    err_t e = OK;
+    if (f->band_from > 0)
+        e = judge_band(f);
+    if (!e)
+        e = settle_best(f);
+    /* the state is still that after the last step */
+    return e == ERR_CANCELLED ? refine_state_keep(f) : e;
+}
+
 static err_t run_steps(struct refine *f)
 {
-    int round = round_of(f->v->n);
     err_t e = OK;
     while (f->step < f->steps && !e) {
-        f->level = pace_level(f->step, f->steps, f->levels);
-        e = take_step(f);
-        f->expected += f->pace.seconds[f->level];
-        f->rep->steps = ++f->step;
-        if (!e && f->step % round == 0)
-            e = end_round(f, round);
-        if (!e)
-            e = update_bands(f);
-        if (!e && outliers_due(f->step, f->steps))
-            e = outliers_judge(f->r, &f->outliers, &f->raster, f->s);
+        e = take_whole_step(f);
         if (!e)
             e = refine_state_keep(f);
     }
-    if (!e && f->band_from > 0)
-        e = judge_band(f);
+    if (!e)
+        e = finish_steps(f);
     if (f->steps < f->cfg->steps && !f->rep->stopped_early)
         add_note(f, "%d of %d steps: no more fit into the time", f->steps, f->cfg->steps);
     if (!e) {
         note_outliers(f);
         keep_outliers(f);
     }
-    return e ? e : settle_best(f);
+    return e;
 }
 
 err_t refine_run(const struct run *r, const struct views *v, const struct refine_config *cfg,

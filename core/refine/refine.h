@@ -73,7 +73,8 @@ size_t refine_cells(const struct views *v);
 int refine_begin(const struct refine_config *cfg, int places);
 
 /* Optimise *io. io->g must have planes for cfg->degree_max; io->cams and io->log2t are those of the
- * views. With a saver a step is not cancelled in between.
+ * views. With a saver a step is not cancelled in between, nor is what
+ * follows from it: a look at all views.
  * err: ERR_ARG (also: the saver's state is of another job), ERR_FORMAT (it is damaged), ERR_NOMEM,
  *      ERR_CANCELLED (then *io is valid, partly optimised). */
 MUST_USE err_t refine_run(const struct run *r, const struct views *v,

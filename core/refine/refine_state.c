@@ -315,5 +315,5 @@ err_t refine_state_keep(struct refine *f)
         pass_all(&p);
         s->end(s->ctx);
     }
-    return run_check(f->r, "refine");
+    return ends ? err_fail(ERR_CANCELLED, "refine: cancelled") : OK;
 }

@@ -17,6 +17,29 @@ succeed "${job[@]}" --resume --out "$OUT/whole"
 grep -q 'no checkpoint, the job starts from the beginning' "$ERR" || fail "nothing to go on from"
 [ ! -e "$OUT/.whole.checkpoint" ] || fail "a complete job left its checkpoint"
 
+# Ctrl-C keeps what was done since
+"$HDRIG" "${job[@]}" --resume --out "$result" >"$OUT/stdout.txt" 2>"$ERR" &
+pid=$!
+for ((k = 0; k < 300; k++)); do
+    grep -q '^refine' "$ERR" && break
+    sleep 0.05
+done
+kill -INT $pid
+wait $pid
+[ $? -eq 130 ] || fail "Ctrl-C: no interruption: $(tail -n 1 "$ERR")"
+grep -q 'step [0-9]* is kept in .*: --resume goes on from there' "$ERR" ||
+    fail "Ctrl-C: $(tail -n 2 "$ERR")"
+cp "$checkpoint" "$OUT/kept"
+# another job, a damaged file, a file of another program
+expect 1 'other options' "${job[@]}" --resume --seed 9 --out "$result"
+expect 1 'other photographs' "${job[@]}" --resume --size 80 --out "$result"
+printf 'x' | dd of="$checkpoint" bs=1 seek=5000 conv=notrunc 2>/dev/null
+expect 1 'scene.checkpoint is damaged: start without --resume' "${job[@]}" --resume \
+    --out "$result"
+head -c 3000 "$OUT/kept" >"$checkpoint"
+expect 1 'scene.checkpoint is damaged' "${job[@]}" --resume --out "$result"
+cp "$OUT/kept" "$checkpoint"
+
 # kill -9 at a random moment after each new checkpoint
 kills=0
 for ((i = 0; i < 6; i++)); do
@@ -36,30 +59,6 @@ done
 echo "$kills kills"
 [ "$kills" -ge 2 ] || fail "only $kills kills"
 
-# Ctrl-C keeps what was done since
-if [ ! -e "$result" ]; then
-    "$HDRIG" "${job[@]}" --resume --out "$result" >"$OUT/stdout.txt" 2>"$ERR" &
-    pid=$!
-    for ((k = 0; k < 300; k++)); do
-        grep -q '^refine' "$ERR" && break
-        sleep 0.05
-    done
-    kill -INT $pid
-    wait $pid
-    [ $? -eq 130 ] || fail "Ctrl-C: no interruption: $(tail -n 1 "$ERR")"
-    grep -q 'step [0-9]* is kept in .*: --resume goes on from there' "$ERR" ||
-        fail "Ctrl-C: $(tail -n 2 "$ERR")"
-    cp "$checkpoint" "$OUT/kept"
-    # another job, a damaged file, a file of another program
-    expect 1 'other options' "${job[@]}" --resume --seed 9 --out "$result"
-    expect 1 'other photographs' "${job[@]}" --resume --size 80 --out "$result"
-    printf 'x' | dd of="$checkpoint" bs=1 seek=5000 conv=notrunc 2>/dev/null
-    expect 1 'scene.checkpoint is damaged: start without --resume' "${job[@]}" --resume \
-        --out "$result"
-    head -c 3000 "$OUT/kept" >"$checkpoint"
-    expect 1 'scene.checkpoint is damaged' "${job[@]}" --resume --out "$result"
-    cp "$OUT/kept" "$checkpoint"
-fi
 succeed "${job[@]}" --resume --out "$result"
 cmp "$OUT/whole/scene.hdrig" "$result/scene.hdrig" || fail "other bytes after interruptions"
 diff <(figures "$OUT/whole") <(figures "$result") || fail "other figures after interruptions"
