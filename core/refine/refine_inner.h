@@ -66,6 +66,25 @@ struct refine {
     struct refine_input input; // with a saver
 };
 
+/* ---- refine_step.c ---- */
+
+/* Share of the steps that are done, 0..1. */
+float refine_step_progress(const struct refine *f);
+
+/* The gradients of one view, or of parts of some, move the scene, its curve and its cameras. */
+MUST_USE err_t refine_step_learn(struct refine *f);
+
+/* The work of such a step on view i, without effect but on the held-out error. */
+MUST_USE err_t refine_step_rehearse(struct refine *f, int i);
+
+/* Held-out error of the last comparison with each photograph, dB; 0: nothing was held out. */
+float refine_step_held_db(const struct refine *f);
+
+/* The same by a comparison of all views now. */
+MUST_USE err_t refine_step_measure(struct refine *f, float *db);
+
+/* ---- refine_state.c ---- */
+
 /* Before anything has changed. out: *resumed: refine_state_load follows, on all ranks. */
 MUST_USE err_t refine_state_begin(struct refine *f, bool *resumed);
 
