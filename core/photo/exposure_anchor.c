@@ -35,11 +35,13 @@ static bool rows_differ(const struct exposure_probe_ratio *r, double tolerance, 
 }
 
 void exposure_anchor_compare(const struct exposure_anchor *a, const struct exposure_probe *w,
-                             double tolerance, double slack, struct exposure_anchor_ratio *out)
+                             const struct exposure_anchor_doubt *doubt,
+                             struct exposure_anchor_ratio *out)
 {
+    const double tolerance = doubt->tolerance;
     struct exposure_probe_ratio r;
-    exposure_probe_compare(&a->seen, w, &r);
-    const double both = 2.0 * (a->slack + slack); // rows of both may differ by their slacks
+    exposure_probe_compare(&a->seen, w, doubt->moving, &r);
+    const double both = 2.0 * (a->slack + doubt->slack); // rows of both may differ by their slacks
     const double error = hypot(a->error, (double)r.error);
     *out = (struct exposure_anchor_ratio){.changed = parts_changed(&r, tolerance, both),
                                           .torn = rows_differ(&r, tolerance, both),
@@ -54,27 +56,31 @@ void exposure_anchor_compare(const struct exposure_anchor *a, const struct expos
 }
 
 bool exposure_anchor_alike(const struct exposure_anchor *a, const struct exposure_probe *w,
-                           double tolerance, double slack)
+                           const struct exposure_anchor_doubt *doubt, float *moved)
 {
+    const double tolerance = doubt->tolerance, slack = doubt->slack;
     struct exposure_probe_ratio r;
-    exposure_probe_compare(&a->seen, w, &r);
+    exposure_probe_compare(&a->seen, w, 0, &r);
+    *moved = r.moved;
     return !parts_changed(&r, tolerance, slack) && !rows_differ(&r, tolerance, slack) &&
            (r.patches < PATCHES_MIN ||
             fabs((double)r.log2) <= 0.5 * tolerance + SURE * (double)r.error + slack);
 }
 
 void exposure_anchor_refute(const struct exposure_anchor *a, const struct exposure_probe *w,
-                            const struct exposure_anchor_pair *pair, double tolerance, double slack,
+                            const struct exposure_anchor_pair *pair,
+                            const struct exposure_anchor_doubt *doubt,
                             struct exposure_probe_rows *rows)
 {
     struct exposure_probe_rows by;
     bool same = fabs(a->recorded - pair->other) <= EXPOSURE_ANCHOR_SAME;
     double at = same ? pair->other : a->stops;
     double r = pair->stops - at, o = pair->other - at;
-    double most = tolerance_of_ratio(tolerance, o) + a->slack + slack;
+    double most = tolerance_of_ratio(doubt->tolerance, o) + a->slack + doubt->slack;
     if (fabs(r - o) <= most)
         return;
-    exposure_probe_refuted(&a->seen, w, r, o + copysign(most, r - o), &by);
+    const struct exposure_probe_rivals rivals = {r, o + copysign(most, r - o), doubt->moving};
+    exposure_probe_refuted(&a->seen, w, &rivals, &by);
     rows->refuted |= by.refuted & a->sure;
     rows->alike |= by.alike & a->sure;
 }

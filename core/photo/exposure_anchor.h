@@ -32,14 +32,23 @@ struct exposure_anchor_ratio {
     int patches;
 };
 
-/* Compare the frame w with an anchor. tolerance: stops; slack: stops by which flicker may have
- * changed a row of the frame. */
-void exposure_anchor_compare(const struct exposure_anchor *a, const struct exposure_probe *w,
-                             double tolerance, double slack, struct exposure_anchor_ratio *out);
+/* What a comparison allows for. */
+struct exposure_anchor_doubt {
+    double tolerance; // stops by which an exposure may be wrong
+    double slack;     // stops by which flicker may have changed a row of the frame
+    float moving;     // share of the picture that moves, 0..1
+};
 
-/* Whether w looks like the anchor, at the same exposure. slack: as above, of both. */
+/* Compare the frame w with an anchor. */
+void exposure_anchor_compare(const struct exposure_anchor *a, const struct exposure_probe *w,
+                             const struct exposure_anchor_doubt *doubt,
+                             struct exposure_anchor_ratio *out);
+
+/* Whether w looks like the anchor, at the same exposure. The slack is that of both; what moves is
+ * asked here.
+ * out: *moved: the share of the patches that do not. */
 bool exposure_anchor_alike(const struct exposure_anchor *a, const struct exposure_probe *w,
-                           double tolerance, double slack);
+                           const struct exposure_anchor_doubt *doubt, float *moved);
 
 struct exposure_anchor_pair {
     double stops, other; // log2 of exposure, s: that of the frame, and that which rows may have
@@ -49,7 +58,8 @@ struct exposure_anchor_pair {
  * which would look alike. A row that looks alike is no evidence for the next frame: it may be torn
  * itself. */
 void exposure_anchor_refute(const struct exposure_anchor *a, const struct exposure_probe *w,
-                            const struct exposure_anchor_pair *pair, double tolerance, double slack,
+                            const struct exposure_anchor_pair *pair,
+                            const struct exposure_anchor_doubt *doubt,
                             struct exposure_probe_rows *rows);
 
 #endif

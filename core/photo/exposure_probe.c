@@ -19,9 +19,10 @@
  * one frame count by how far their bound is beyond the ratio.
  * A row refutes a ratio R by the sum of its patches' differences x_b - R x_a in standard errors,
  * each weighted by the difference expected if another ratio is true. The weight comes from the
- * light by both frames, which is independent of the differences if R is true. A patch that is dark
- * or clipped in one frame bounds the ratio from one side. The sorted bounds
- * give the one with 2 % of all patches beyond it. */
+ * light by both frames, which is independent of the differences if R is true; where things move,
+ * the largest terms do not count. A patch that is dark
+ * or clipped in one frame bounds the ratio from one side. Where things move between the frames
+ * some bounds are wrong: as many as 2 % of all patches, or twice the share that is said to move. */
 #include "core/photo/exposure_probe.h"
 
 #include "core/base/num.h"
@@ -55,6 +56,8 @@ enum {
 #define QUARTILE 0.674f    // standard deviations, of a normal distribution
 #define CONVERGED 1e-3f    // stops
 #define PATCH_MAX 4.0f     // standard errors that one patch may count against a ratio
+#define MOVED 0.1f         // stops beyond errors: another surface, or other light on it
+#define MOVED_ROW 4.0f     // what moves is nowhere wider than so many times its share
 #define ALIKE 1.5f         // codes: rows that differ by less on average are the same,
 #define ALIKE_PATCH 2.0f   // if no patch differs by more: four errors of a black level
 #define ALIKE_SIGMAS 2.0f  // standard errors added to that difference
@@ -347,6 +350,26 @@ static float spread_of(float *v, int n)
     return 0.5f * (select_rank(v, n, n - 1 - quarter) - select_rank(v, n, quarter));
 }
 
+/* Share of the patches that have a ratio or a bound of it, and surely another ratio. */
+static float share_moved(const struct pair *p)
+{
+    const struct lists *l = &p->l;
+    int n = l->n_lo + l->n_hi, moved = 0;
+    for (int k = 0; k < l->n_seen; k++) {
+        const int i = l->seen[k].patch;
+        if (p->a->state[i] != EXPOSURE_PROBE_GOOD || p->b->state[i] != EXPOSURE_PROBE_GOOD)
+            continue; // a bound
+        const float sd = LOG2E * hypotf(p->a->sd[i] / p->a->x[i], p->b->sd[i] / p->b->x[i]);
+        moved += fabsf(l->seen[k].log2 - p->r) > MOVED + BAND_SIGMAS * sd;
+        n++;
+    }
+    for (int k = 0; k < l->n_lo; k++)
+        moved += l->lo[k] > p->r + MOVED;
+    for (int k = 0; k < l->n_hi; k++)
+        moved += l->hi[k] < p->r - MOVED;
+    return (float)moved / (float)n;
+}
+
 static void estimate_ratio(struct pair *p, struct exposure_probe_ratio *out)
 {
     float var = 0.0f, step = INFINITY;
@@ -366,6 +389,7 @@ static void estimate_ratio(struct pair *p, struct exposure_probe_ratio *out)
     out->spread = spread_of(p->value, n);
     out->noise = sqrtf(var / (float)n);
     out->error = median_error(p, out->spread / QUARTILE, n);
+    out->moved = share_moved(p);
 }
 
 /* Bounds of log2 x of a patch. */
@@ -413,18 +437,28 @@ static float widest_band(struct pair *p, float spread)
     return most;
 }
 
+/* The bounds that are left when as many are wrong as may be. */
+static void bound_ratio(struct lists *l, float moving, struct exposure_probe_ratio *out)
+{
+    const int lo = num_max(WRONG, (int)(2 * moving * (float)l->n_lo));
+    const int hi = num_max(WRONG, (int)(2 * moving * (float)l->n_hi));
+    out->lo = l->n_lo > lo ? select_rank(l->lo, l->n_lo, l->n_lo - 1 - lo) : -INFINITY;
+    out->hi = l->n_hi > hi ? select_rank(l->hi, l->n_hi, hi) : INFINITY;
+    if (out->lo > out->hi) { // more are wrong
+        out->lo = -INFINITY;
+        out->hi = INFINITY;
+    }
+}
+
 void exposure_probe_compare(const struct exposure_probe *a, const struct exposure_probe *b,
-                            struct exposure_probe_ratio *out)
+                            float moving, struct exposure_probe_ratio *out)
 {
     struct pair p = {.a = a, .b = b};
     struct lists *l = &p.l;
     for (int i = 0; i < EXPOSURE_PROBE_PATCHES; i++)
         add_patch(a, b, i, l);
-    *out = (struct exposure_probe_ratio){.lo = -INFINITY, .hi = INFINITY};
-    if (l->n_lo > WRONG)
-        out->lo = select_rank(l->lo, l->n_lo, l->n_lo - 1 - WRONG);
-    if (l->n_hi > WRONG)
-        out->hi = select_rank(l->hi, l->n_hi, WRONG);
+    *out = (struct exposure_probe_ratio){0};
+    bound_ratio(l, moving, out);
     estimate_ratio(&p, out);
     if (out->patches > 0)
         out->band = widest_band(&p, out->spread);
@@ -436,6 +470,7 @@ struct refuter {
     const struct exposure_probe *a, *b;
     float r, other; // ratios, linear
     bool same;      // the other is no other than a: what is dark or clipped is so in both
+    int moved;      // patches of a row whose evidence does not count: something moves
 };
 
 /* Bounds of the true x of a patch, without its standard error. */
@@ -494,33 +529,52 @@ static float expected_difference(const struct refuter *t, float light)
     return fabsf(fminf(t->r * light, 1.0f) - fminf(t->other * light, 1.0f));
 }
 
+/* The sum without its largest terms. */
+static float sum_smallest(float *term, int n, int left_out)
+{
+    float sum = 0.0f;
+    if (left_out > 0)
+        select_rank(term, n, n - left_out);
+    for (int i = 0; i < n - left_out; i++)
+        sum += term[i];
+    return sum;
+}
+
 static void judge_row(const struct refuter *t, int row, struct exposure_probe_rows *out)
 {
     bool shown = false;
-    float sum = 0.0f, var = 0.0f, differ = 0.0f, differ_var = 0.0f, v;
+    float term[EXPOSURE_PROBE_EDGE], var = 0.0f, differ = 0.0f, differ_var = 0.0f, v;
     float apart = fabsf(t->r - t->other);
     float overlap = sqrtf(fmaxf(t->a->overlap, t->b->overlap)); // along the row
-    for (int i = row * EXPOSURE_PROBE_EDGE; i < (row + 1) * EXPOSURE_PROBE_EDGE; i++) {
+    for (int k = 0; k < EXPOSURE_PROBE_EDGE; k++) {
+        const int i = row * EXPOSURE_PROBE_EDGE + k;
         float light = light_if(t, i, &v);
         float sd = fmaxf(hypotf(t->b->sd[i], t->other * t->a->sd[i]), 1e-9f);
         float off = expected_difference(t, light), weight = fmaxf(fminf(off / sd, PATCH_MAX), 0.0f);
-        sum += weight * deviation_from_other(t, i, sd);
+        term[k] = weight * deviation_from_other(t, i, sd);
         var += weight * weight;
         float share = 1.0f / (step_at(t->b, i) * EXPOSURE_PROBE_EDGE);
         differ += share * off;
         differ_var += share * share * apart * apart * v;
         shown |= off > ALIKE_PATCH * step_at(t->b, i) + ALIKE_SIGMAS * apart * sqrtf(v);
     }
-    if (sum > BAND_SIGMAS * sqrtf(overlap * var))
+    if (sum_smallest(term, EXPOSURE_PROBE_EDGE, t->moved) > BAND_SIGMAS * sqrtf(overlap * var))
         out->refuted |= (uint32_t)1 << row;
     if (!shown && differ + ALIKE_SIGMAS * sqrtf(overlap * differ_var) < ALIKE)
         out->alike |= (uint32_t)1 << row;
 }
 
 void exposure_probe_refuted(const struct exposure_probe *a, const struct exposure_probe *b,
-                            double log2, double other, struct exposure_probe_rows *out)
+                            const struct exposure_probe_rivals *rivals,
+                            struct exposure_probe_rows *out)
 {
-    struct refuter t = {a, b, (float)exp2(log2), (float)exp2(other), other == 0.0};
+    struct refuter t = {
+        a,
+        b,
+        (float)exp2(rivals->log2),
+        (float)exp2(rivals->other),
+        rivals->other == 0.0,
+        num_min((int)(MOVED_ROW * rivals->moving * EXPOSURE_PROBE_EDGE), EXPOSURE_PROBE_EDGE / 2)};
     *out = (struct exposure_probe_rows){0};
     for (int i = 0; i < EXPOSURE_PROBE_EDGE; i++)
         judge_row(&t, i, out);

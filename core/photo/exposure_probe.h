@@ -46,12 +46,14 @@ struct exposure_probe_ratio {
                   // light changed
     float noise;  // rms of the ratio of a patch by noise alone, stops
     float band;   // stops, >= 0: significant deviation of adjacent rows from the ratio
-    float lo, hi; // bounds by dark and clipped patches, 2 % of all may be wrong; -/+ INFINITY
+    float moved;  // share of the patches with a ratio or a bound that show another one
+    float lo, hi; // bounds by dark and clipped patches, lo <= hi; some may be wrong; -/+ INFINITY
 };
 
-/* Compare b with a. */
+/* Compare b with a. moving: share of the picture that is known to move, 0..1: bounds are wrong
+ * there. */
 void exposure_probe_compare(const struct exposure_probe *a, const struct exposure_probe *b,
-                            struct exposure_probe_ratio *out);
+                            float moving, struct exposure_probe_ratio *out);
 
 /* Rows of the grid, bit 0 the uppermost. */
 struct exposure_probe_rows {
@@ -60,9 +62,15 @@ struct exposure_probe_rows {
                       // than two codes (core/photo/README.md 5.1)
 };
 
-/* Whether rows of b may have the ratio `other` to a, stops, and not the ratio `log2` that b has
- * elsewhere. Says nothing about rows where a itself may have another exposure. */
+struct exposure_probe_rivals {
+    double log2, other; // ratio of b to a, stops: the one that it has elsewhere; another one
+    float moving;       // share of the picture that is known to move, 0..1
+};
+
+/* Whether rows of b may have the other ratio to a, and not the one that b has elsewhere. Says
+ * nothing about rows where a itself may have another exposure. */
 void exposure_probe_refuted(const struct exposure_probe *a, const struct exposure_probe *b,
-                            double log2, double other, struct exposure_probe_rows *out);
+                            const struct exposure_probe_rivals *rivals,
+                            struct exposure_probe_rows *out);
 
 #endif

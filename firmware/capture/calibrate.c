@@ -140,7 +140,7 @@ static err_t step_to(struct device_probe *w, double time_s, const struct exposur
         if (e || !s.usable)
             continue;
         *last = s;
-        exposure_probe_compare(from, &s.seen, &r);
+        exposure_probe_compare(from, &s.seen, 0, &r);
         t->stops[t->n] = r.log2;
         t->lo[t->n] = s.age_lo;
         t->hi[t->n++] = s.age_hi;
@@ -360,7 +360,7 @@ static void judge_step(const struct device_probe *w, const struct exposure_probe
                        const struct exposure_probe *b, struct calibrate_step *s)
 {
     struct exposure_probe_ratio r;
-    exposure_probe_compare(a, b, &r);
+    exposure_probe_compare(a, b, 0, &r);
     double slack = calibrate_slack(w) * (r.patches < FEW_PATCHES ? 2.0 : 1.0);
     bool loose = !w->linear && !w->has_crf; // only what no curve could do is wrong
     double least = loose ? 0.25 * s->requested : s->requested - slack;
@@ -503,7 +503,7 @@ err_t calibrate_range(struct device_probe *w, struct calibrate *c)
         e = ask_and_rest(w, c->base_s, frames, &after);
     if (e)
         return e;
-    exposure_probe_compare(&before.seen, &after.seen, &r);
+    exposure_probe_compare(&before.seen, &after.seen, 0, &r);
     c->drift = r.log2;
     if (fabs(c->drift) > STILL || r.patches < LEAST_PATCHES)
         return err_fail(ERR_LIMIT,

@@ -23,6 +23,8 @@ enum {
     AGE_MAX = 1 << 20
 };
 #define REPORT 0.005 // W1: 0.5 %
+#define STILL 0.02f  // share of the picture that may move in a still scene: noise
+#define CALM 0.9f    // share of a movement that is expected of the next frame
 #define LATE_S 1.0   // stamps older than this and two frames come from another clock
 
 double label_stops(const struct exposure *e)
@@ -248,20 +250,30 @@ static double shortest_s(const struct label *l)
     return t;
 }
 
+/* A frame counts with the darkest candidate's slack. */
+static struct exposure_anchor_doubt doubt_of(const struct label *l)
+{
+    return (struct exposure_anchor_doubt){l->cfg.tolerance, flicker_stops(&l->light, shortest_s(l)),
+                                          l->moving};
+}
+
 static void compare_anchor(const struct label *l, int by, const struct exposure_probe *w,
                            struct label_look *k)
 {
     const struct exposure_anchor *a = &l->anchor[by];
     struct exposure_anchor_ratio r;
-    // the frame counts with the darkest candidate's slack
-    exposure_anchor_compare(a, w, l->cfg.tolerance, flicker_stops(&l->light, shortest_s(l)), &r);
+    const struct exposure_anchor_doubt doubt = doubt_of(l);
+    exposure_anchor_compare(a, w, &doubt, &r);
+    // what moves may be most of what few patches show
+    const bool weak = l->moving > STILL && (r.changed || r.patches < PATCHES_MANY);
     k->lo = fmax(k->lo, r.lo);
     k->hi = fmin(k->hi, r.hi);
-    k->changed = k->changed || r.changed;
-    k->torn = k->torn || r.torn;
+    k->changed = k->changed || (r.changed && !weak);
+    k->torn = k->torn || (r.torn && !(weak && label_rested(l))); // at rest all rows are alike
     if (!r.accurate || (k->measured && r.error + a->slack >= k->error + k->slack))
         return;
     k->measured = true;
+    k->weak = weak;
     k->slack = a->slack;
     k->stops = r.stops;
     k->error = r.error;
@@ -283,11 +295,11 @@ static struct exposure_probe_rows refute_rows(const struct label *l, const struc
                                               double stops, double other)
 {
     const struct exposure_anchor_pair pair = {stops, other};
-    const double slack = flicker_stops(&l->light, shortest_s(l));
+    const struct exposure_anchor_doubt doubt = doubt_of(l);
     struct exposure_probe_rows rows = {0};
     for (int i = 0; i < LABEL_ANCHORS; i++)
         if (l->anchor[i].held)
-            exposure_anchor_refute(&l->anchor[i], w, &pair, l->cfg.tolerance, slack, &rows);
+            exposure_anchor_refute(&l->anchor[i], w, &pair, &doubt, &rows);
     return rows;
 }
 
@@ -377,15 +389,18 @@ err_t label_settle(struct label *l, const struct frame *f, const struct exposure
 {
     struct exposure_anchor *a = &l->anchor[LABEL_REFERENCE];
     const struct exposure *x = &label_newest(l)->expect;
+    float moved = 0;
     *same = false;
     if (f->exposure_known && !report_agrees(l, &f->exposure, x)) {
         a->held = false;
         return err_fail(ERR_AGAIN, "a frame at rest reports %g s x %g, but %g s x %g was set",
                         f->exposure.time_s, f->exposure.gain, x->time_s, x->gain);
     }
+    const struct exposure_anchor_doubt doubt = {l->cfg.tolerance,
+                                                2.0 * flicker_stops(&l->light, x->time_s), 0};
     if (a->held)
-        *same = exposure_anchor_alike(a, w, l->cfg.tolerance,
-                                      2.0 * flicker_stops(&l->light, x->time_s));
+        *same = exposure_anchor_alike(a, w, &doubt, &moved);
+    l->moving = fmaxf(moved, CALM * l->moving);
     a->recorded = a->stops = label_stops(f->exposure_known ? &f->exposure : x);
     a->error = 0.0;
     a->slack = flicker_stops(&l->light, x->time_s);
@@ -418,7 +433,8 @@ static void weigh_candidate(const struct label *l, int i, const struct frame *f,
     double slack = k->slack + flicker_stops(&l->light, out->exposure.time_s);
     double most = l->cfg.tolerance + slack;
     out->off = fmax(fmax(k->lo - s, s - k->hi), 0.0);
-    bool allowed = out->off <= most;
+    // what moves in the picture makes bounds wrong, and hardly the median of many
+    bool allowed = out->off <= most || (k->measured && k->patches >= PATCHES_MANY);
     if (k->measured) {
         out->off = fabs(s - k->stops);
         most -= EXPOSURE_ANCHOR_DOUBTED * k->error;
@@ -446,16 +462,28 @@ static bool has_rival(const struct label *l, const struct candidate *c, int n,
     return false;
 }
 
+/* returns: number of candidates, each in force perhaps. */
+static int weigh_candidates(const struct label *l, const struct frame *f,
+                            const struct label_look *k, struct candidate c[LABEL_LOG])
+{
+    int n = 0;
+    for (int i = 0; i < l->n; i++)
+        if (in_force(l, i, 0, l->doubt))
+            weigh_candidate(l, i, f, k, &c[n++]);
+    return n;
+}
+
 void label_look(const struct label *l, const struct frame *f, const struct exposure_probe *w,
                 struct label_look *out)
 {
     struct candidate c[LABEL_LOG];
-    int n = 0;
     *out = (struct label_look){.verdict = LABEL_CONFLICT, .entry = -1, .sure = UINT32_MAX};
     read_pixels(l, w, out);
-    for (int i = 0; i < l->n; i++)
-        if (in_force(l, i, 0, l->doubt))
-            weigh_candidate(l, i, f, out, &c[n++]);
+    int n = weigh_candidates(l, f, out, c);
+    if (out->weak && !nearest_candidate(c, n, true)) {
+        out->measured = false;
+        n = weigh_candidates(l, f, out, c);
+    }
     const struct candidate *best = nearest_candidate(c, n, true);
     const struct candidate *pick = best || !out->measured ? best : nearest_candidate(c, n, false);
     if (!pick)

@@ -40,6 +40,7 @@ struct label {
     struct label_request log[LABEL_LOG];
     int n; // oldest first
     struct exposure_anchor anchor[LABEL_ANCHORS];
+    float moving; // share of the picture that moved between frames at rest
     bool seen; // there was a frame before; the rest describes it
     uint32_t sequence;
     int64_t stamp_ns, shown_ns; // shown: stamp if it can be true, else arrival
@@ -60,6 +61,7 @@ struct label_look {
     struct exposure exposure; // to be recorded: as reported, else expected
     bool disagrees;           // pixels and requests agree, the report does not
     bool measured, changed;   // by pixels; the light changed in parts
+    bool weak; // measured by few patches of a picture that moves: says nothing against an exposure
     bool torn;                // some rows side by side have another exposure than the rest
     uint32_t sure;       // rows that surely have this exposure: all at rest, else by label_whole
     bool whole;          // every row is sure, or would look the same

@@ -184,7 +184,7 @@ static void measure_shot(const struct stand *r, const struct device_probe_frame 
     struct exposure_probe_ratio ratio;
     if (shot < 0 || !s->usable)
         return;
-    exposure_probe_compare(&k->rest.seen, &s->seen, &ratio);
+    exposure_probe_compare(&k->rest.seen, &s->seen, 0, &ratio);
     if (ratio.patches < LEAST_PATCHES)
         return;
     bool right = class_of(ratio.log2) == pattern[shot];

@@ -75,7 +75,8 @@ static int make_anchor(void **state)
 static struct exposure_anchor_ratio compare(double slack)
 {
     struct exposure_anchor_ratio r;
-    exposure_anchor_compare(&anchor, &frame, TOLERANCE, slack, &r);
+    const struct exposure_anchor_doubt doubt = {TOLERANCE, slack, 0};
+    exposure_anchor_compare(&anchor, &frame, &doubt, &r);
     return r;
 }
 
@@ -129,6 +130,13 @@ static void flicker_widens_the_bounds(void **state)
     assert_true(isfinite(still.hi) && fabs(r.hi - (still.hi + 0.3)) < 1e-9);
 }
 
+static bool looks_alike(double slack)
+{
+    float moved;
+    const struct exposure_anchor_doubt doubt = {TOLERANCE, slack, 0};
+    return exposure_anchor_alike(&anchor, &frame, &doubt, &moved);
+}
+
 static void rows_of_another_exposure_are_torn_unless_the_lamp_may_do_it(void **state)
 {
     (void)state;
@@ -136,7 +144,7 @@ static void rows_of_another_exposure_are_torn_unless_the_lamp_may_do_it(void **s
     assert_true(compare(0).torn && !compare(0.2).torn);
     anchor.slack = 0.2;
     assert_false(compare(0).torn);
-    assert_false(exposure_anchor_alike(&anchor, &frame, TOLERANCE, 0));
+    assert_false(looks_alike(0));
 }
 
 static void parts_change_if_noise_is_no_reason(void **state)
@@ -155,17 +163,18 @@ static void the_same_exposure_looks_alike(void **state)
 {
     (void)state;
     make_probe(&frame, 0, 0, 0);
-    assert_true(exposure_anchor_alike(&anchor, &frame, TOLERANCE, 0));
+    assert_true(looks_alike(0));
     make_probe(&frame, 0.08, 0, 0);
-    assert_false(exposure_anchor_alike(&anchor, &frame, TOLERANCE, 0));
-    assert_true(exposure_anchor_alike(&anchor, &frame, TOLERANCE, 0.05));
+    assert_false(looks_alike(0));
+    assert_true(looks_alike(0.05));
 }
 
 static struct exposure_probe_rows refute(double stops, double other, double slack)
 {
     const struct exposure_anchor_pair pair = {stops, other};
+    const struct exposure_anchor_doubt doubt = {TOLERANCE, slack, 0};
     struct exposure_probe_rows rows = {0};
-    exposure_anchor_refute(&anchor, &frame, &pair, TOLERANCE, slack, &rows);
+    exposure_anchor_refute(&anchor, &frame, &pair, &doubt, &rows);
     return rows;
 }
 

@@ -89,8 +89,8 @@ static void check_ratio(const struct exposure_probe *a, const struct exposure_pr
                         double stops, double tolerance)
 {
     struct exposure_probe_ratio r, back;
-    exposure_probe_compare(a, b, &r);
-    exposure_probe_compare(b, a, &back);
+    exposure_probe_compare(a, b, 0, &r);
+    exposure_probe_compare(b, a, 0, &back);
     if (r.patches >= 10 && !(fabs(r.log2 - stops) <= tolerance))
         fail_msg("%.3f instead of %.1f stops by %d patches", (double)r.log2, stops, r.patches);
     if (!(r.lo <= stops && r.hi >= stops && back.lo <= -stops && back.hi >= -stops))
@@ -113,7 +113,7 @@ static void test_mosaics(void **state)
         take_raw(0.1 * exp2(0.5 * stops), 2, cfa, &b);
         check_ratio(&a, &b, stops, 0.02 + 0.004 * stops);
         struct exposure_probe_ratio r;
-        exposure_probe_compare(&a, &b, &r);
+        exposure_probe_compare(&a, &b, 0, &r);
         told += r.patches >= 10;
         if (stops == 0)
             assert_true(r.patches > EXPOSURE_PROBE_PATCHES * 9 / 10);
@@ -187,7 +187,7 @@ static void test_log_curves_in_the_dark(void **state)
         for (int stops = 0; stops <= 8; stops++) {
             take_display(0.03 * exp2(-stops), 1, &c, &crf, &a);
             take_display(0.03, 2, &c, &crf, &b);
-            exposure_probe_compare(&a, &b, &r);
+            exposure_probe_compare(&a, &b, 0, &r);
             bool right = r.lo <= (float)stops + 0.1f && r.hi >= (float)stops - 0.1f;
             if (r.patches >= 10 && !(fabsf(r.log2 - (float)stops) <= 0.1f && right))
                 fail_msg("param %d: %.2f in %.2f..%.2f instead of %d stops by %d patches", param,
@@ -214,7 +214,7 @@ static void test_black_that_is_light(void **state)
     take_display(0.06, 1, &c, &crf, &b);
     for (int stops = 4; stops <= 6; stops++) {
         take_display(0.06 * exp2(-stops), 2, &c, &crf, &a);
-        exposure_probe_compare(&a, &b, &r);
+        exposure_probe_compare(&a, &b, 0, &r);
         if (!(r.patches >= 10 && fabsf(r.log2 - (float)stops) <= 0.1f))
             fail_msg("%.2f instead of %d stops by %d patches", (double)r.log2, stops, r.patches);
     }
@@ -237,7 +237,7 @@ static void test_curves_that_are_not(void **state)
         take_display(0.1, 1, &c, NULL, &a);
         for (int stops = 0; stops <= 3; stops++) {
             take_display(0.1 * exp2(stops), 2, &c, NULL, &b);
-            exposure_probe_compare(&a, &b, &r);
+            exposure_probe_compare(&a, &b, 0, &r);
             assert_true(fabsf(r.log2 - (float)stops) <= 0.02f + is[k].wrong * (float)stops);
         }
     }
@@ -353,7 +353,7 @@ static void test_small_pictures(void **state)
             exposure_probe_measure(&(struct raw){w, h, cfa, 8, 0, false, px}, NULL, &a);
             free(px);
             assert_int_equal(a.good, EXPOSURE_PROBE_PATCHES);
-            exposure_probe_compare(&a, &a, &r);
+            exposure_probe_compare(&a, &a, 0, &r);
             bool enough = w * h >= 6 * 16; // blocks that share no pixel
             assert_true(r.patches == (enough ? EXPOSURE_PROBE_PATCHES : 0) && r.log2 == 0.0f);
             assert_true(r.spread == 0.0f && r.band == 0.0f);
@@ -372,15 +372,66 @@ static void test_nothing_to_see(void **state)
     take_raw(1e3, 2, RAW_RGGB, &bright);
     take_raw(0.1, 3, RAW_RGGB, &good);
     assert_true(dark.dark == EXPOSURE_PROBE_PATCHES && bright.clipped == EXPOSURE_PROBE_PATCHES);
-    exposure_probe_compare(&dark, &bright, &r);
+    exposure_probe_compare(&dark, &bright, 0, &r);
     assert_true(r.patches == 0 && r.log2 == 0.0f && r.spread == 0.0f && r.lo > 6.0f);
     assert_true(isinf(r.hi));
-    exposure_probe_compare(&dark, &dark, &r);
+    exposure_probe_compare(&dark, &dark, 0, &r);
     assert_true(r.patches == 0 && isinf(r.lo) && isinf(r.hi));
-    exposure_probe_compare(&good, &dark, &r); // truth: -20
+    exposure_probe_compare(&good, &dark, 0, &r); // truth: -20
     assert_true(r.hi >= -20.0f && r.hi < -5.0f && isinf(r.lo));
-    exposure_probe_compare(&bright, &good, &r); // truth: -13
+    exposure_probe_compare(&bright, &good, 0, &r); // truth: -13
     assert_true(r.hi >= -13.3f && r.hi < 0.0f && isinf(r.lo));
+}
+
+/* Somebody dark stands in a share of the picture. */
+static void stand_in(double share)
+{
+    for (int i = 0; i < 3 * N; i++)
+        if (i % W < share * W)
+            radiance[i] *= 1.0f / 64;
+}
+
+/* Somebody leaves between two frames: what moved is counted at one exposure, and makes the bounds
+ * of others right. */
+static void test_passer(void **state)
+{
+    static const double share[] = {0.1, 0.2, 0.3};
+    struct exposure_probe a, b, longer;
+    struct exposure_probe_ratio r;
+    (void)state;
+    for (int k = 0; k < 3; k++) {
+        make_scene(1.0f, 6);
+        take_raw(0.02, 1, RAW_RGGB, &b);
+        take_raw(2.0, 2, RAW_RGGB, &longer);
+        exposure_probe_compare(&b, &b, 0, &r);
+        assert_true(r.moved == 0.0f);
+        stand_in(share[k]);
+        take_raw(0.02, 3, RAW_RGGB, &a);
+        exposure_probe_compare(&a, &b, 0, &r);
+        assert_true(fabsf(r.moved - (float)share[k]) < 0.05f && fabsf(r.log2) < 0.02f);
+        const float moved = r.moved;
+        exposure_probe_compare(&a, &longer, 0, &r);
+        assert_true(r.lo > log2f(100) + 0.3f && isinf(r.hi));
+        exposure_probe_compare(&a, &longer, moved, &r);
+        assert_true(r.lo <= log2f(100) && r.lo > 3);
+    }
+}
+
+/* What is bright in the first frame is dark in the second, and the other way round. */
+static void test_bounds_that_contradict(void **state)
+{
+    struct exposure_probe a, b;
+    struct exposure_probe_ratio r;
+    (void)state;
+    make_scene(1.0f, 6);
+    stand_in(0.1);
+    take_raw(0.02, 1, RAW_RGGB, &a);
+    make_scene(1.0f, 6);
+    for (int i = 0; i < 3 * N; i++)
+        radiance[i] *= i % W > 0.9 * W ? 1e-6f : 1.0f;
+    take_raw(2.0, 2, RAW_RGGB, &b);
+    exposure_probe_compare(&a, &b, 0, &r);
+    assert_true(r.lo <= log2f(100) && r.hi >= log2f(100));
 }
 
 /* A lamp lights a share of the picture by 3 stops between two frames. */
@@ -397,7 +448,7 @@ static void test_lamp(void **state)
             if (i % W < share[k] * W)
                 radiance[i] *= 8.0f;
         take_raw(0.04, 2, RAW_RGGB, &b);
-        exposure_probe_compare(&a, &b, &r);
+        exposure_probe_compare(&a, &b, 0, &r);
         if (k == 0)
             assert_true(fabsf(r.log2 - 1.0f) < 0.05f); // the median does not mind
         else
@@ -440,7 +491,7 @@ static void test_near_the_dark_limit(void **state)
         for (uint64_t i = 0; i < 8; i++) {
             take_small(0.04 * exp2(-stops), 1.0, 0, 1000.0f, 4 * i, &a);
             take_small(0.04, 1.0, 0, 1000.0f, 4 * i + 2, &b);
-            exposure_probe_compare(&b, &a, &r);
+            exposure_probe_compare(&b, &a, 0, &r);
             sum += r.patches > 5 ? (double)r.log2 + stops : 0.0;
             n += r.patches > 5;
             if (r.patches > 5 && fabs((double)r.log2 + stops) > 5.0 * (double)r.error + 0.01)
@@ -464,10 +515,10 @@ static void test_torn_rows(void **state)
         make_scene(1.0f, k + 100);
         take_small(0.1, 1.0, 0, 10000.0f, 1, &a);
         take_small(0.1 * exp2(stops), 1.0, 0, 10000.0f, 2, &b);
-        exposure_probe_compare(&a, &b, &r);
+        exposure_probe_compare(&a, &b, 0, &r);
         assert_true(r.band < 0.05f);
         take_small(0.1 * exp2(stops), 0.1 * exp2(other), rows, 10000.0f, 2, &b);
-        exposure_probe_compare(&a, &b, &r);
+        exposure_probe_compare(&a, &b, 0, &r);
         if (r.patches > 100 && !(r.band > 0.1f || r.spread > 0.2f))
             fail_msg("%d rows of %.0f stops among %.0f: %.3f", rows, other, stops, (double)r.band);
     }
@@ -490,250 +541,9 @@ static void test_wrong_patches(void **state)
             x.state[17 * i] = EXPOSURE_PROBE_DARK;
             b.state[17 * i] = EXPOSURE_PROBE_CLIPPED;
         }
-        exposure_probe_compare(&x, &b, &r);
+        exposure_probe_compare(&x, &b, 0, &r);
         assert_true(wrong <= 20 ? r.lo < 6.7f && r.lo > 4.0f : r.lo > 10.0f);
     }
-}
-
-/* ---- rows that had another exposure ---- */
-
-#define CODE (1.0f / 4096)
-
-/* A frame whose patches all have so many codes; accurate. */
-static void even(float codes, struct exposure_probe *out)
-{
-    memset(out, 0, sizeof *out);
-    out->linear = true;
-    out->step = CODE;
-    out->overlap = 1.0f;
-    for (int i = 0; i < EXPOSURE_PROBE_PATCHES; i++) {
-        out->x[i] = fminf(codes * CODE, 1.0f);
-        out->sd[i] = 0.05f * CODE;
-        out->floor[i] = 8.0f * CODE;
-        out->state[i] = codes >= 3900.0f ? EXPOSURE_PROBE_CLIPPED
-                        : codes < 8.0f   ? EXPOSURE_PROBE_DARK
-                                         : EXPOSURE_PROBE_GOOD;
-    }
-}
-
-static void set_sd(struct exposure_probe *p, float codes)
-{
-    for (int i = 0; i < EXPOSURE_PROBE_PATCHES; i++)
-        p->sd[i] = codes * CODE;
-}
-
-static struct exposure_probe_rows rows_of(const struct exposure_probe *a,
-                                          const struct exposure_probe *b, double log2, double other)
-{
-    struct exposure_probe_rows r;
-    exposure_probe_refuted(a, b, log2, other, &r);
-    return r;
-}
-
-/* The torn row is the only one that is neither refuted nor alike, whichever exposure is longer. */
-static void test_refuted_rows(void **state)
-{
-    struct exposure_probe a, b;
-    (void)state;
-    for (int stops = -1; stops <= 1; stops += 2) {
-        even(200.0f, &a);
-        even(200.0f * exp2f((float)stops), &b);
-        for (int i = 5 * EXPOSURE_PROBE_EDGE; i < 6 * EXPOSURE_PROBE_EDGE; i++)
-            b.x[i] = 200.0f * CODE;
-        struct exposure_probe_rows r = rows_of(&a, &b, stops, 0.0);
-        assert_int_equal(r.refuted, ~(1u << 5));
-        assert_int_equal(r.alike, 0);
-    }
-}
-
-/* Alike: black, and what clips in any case. Not: a row of 1.7 codes, one patch of many, noise. */
-static void test_alike_rows(void **state)
-{
-    struct exposure_probe a, b;
-    (void)state;
-    even(0.0f, &a);
-    b = a;
-    assert_int_equal(rows_of(&a, &b, 0.0, -4.0).alike, UINT32_MAX);
-    assert_int_equal(rows_of(&a, &b, 0.0, -4.0).refuted, 0);
-    even(3686.0f, &a);
-    even(5000.0f, &b);
-    assert_int_equal(rows_of(&a, &b, 1.0, 0.8).alike, UINT32_MAX);
-    even(1.8f, &a);
-    even(1.8f * 0.0625f, &b);
-    assert_int_equal(rows_of(&a, &b, 0.0, -4.0).alike, 0);
-    even(0.0f, &a);
-    b = a;
-    a.x[40] = 40.0f * CODE;
-    b.x[40] = 2.5f * CODE;
-    assert_int_equal(rows_of(&a, &b, 0.0, -4.0).alike, ~2u);
-    even(1.0f, &a);
-    even(0.0625f, &b);
-    assert_int_equal(rows_of(&a, &b, 0.0, -4.0).alike, UINT32_MAX);
-    set_sd(&a, 3.0f);
-    set_sd(&b, 3.0f);
-    assert_int_equal(rows_of(&a, &b, 0.0, -4.0).alike, 0);
-    set_sd(&a, 1.0f);
-    set_sd(&b, 1.0f);
-    assert_int_equal(rows_of(&a, &b, 0.0, -4.0).alike, UINT32_MAX);
-    a.overlap = 16.0f; // few pixels of their own
-    assert_int_equal(rows_of(&a, &b, 0.0, -4.0).alike, 0);
-}
-
-/* A wrong black level, few patches and patches that share pixels refute nothing. */
-static void test_weak_evidence(void **state)
-{
-    struct exposure_probe a, b;
-    (void)state;
-    even(-0.4f, &a);
-    even(0.4f, &b);
-    assert_int_equal(rows_of(&a, &b, 4.0, 3.0).refuted, 0);
-    even(0.0f, &a);
-    b = a;
-    a.x[40] = 100.0f * CODE;
-    b.x[40] = 200.0f * CODE;
-    assert_int_equal(rows_of(&a, &b, 1.0, 0.0).refuted, 0); // one patch may be anything
-    even(20.0f, &a);
-    even(40.0f, &b);
-    set_sd(&a, 12.0f);
-    set_sd(&b, 12.0f);
-    assert_int_equal(rows_of(&a, &b, 1.0, 0.0).refuted, UINT32_MAX);
-    a.overlap = 16.0f;
-    assert_int_equal(rows_of(&a, &b, 1.0, 0.0).refuted, 0);
-}
-
-/* What is known of one frame only bounds the light, and one patch does not outvote a row. */
-static void test_mixed_evidence(void **state)
-{
-    struct exposure_probe a, b;
-    (void)state;
-    even(8192.0f, &a);
-    even(1.4f, &b);
-    assert_int_equal(rows_of(&a, &b, -11.0, -12.5).alike, 0); // by b the light is twice that of a
-    even(0.0f, &a);
-    b = a;
-    a.linear = b.linear = false;
-    for (int i = 0; i < EXPOSURE_PROBE_PATCHES; i++)
-        a.floor[i] = 0.5f * CODE;
-    assert_int_equal(rows_of(&a, &b, 0.0, -4.0).alike, UINT32_MAX);
-    even(100.0f, &a);
-    even(200.0f, &b);
-    a.linear = b.linear = false;
-    for (int i = 0; i < EXPOSURE_PROBE_PATCHES; i += 2) { // says nothing
-        a.state[i] = EXPOSURE_PROBE_DARK;
-        a.floor[i] = 300.0f * CODE;
-    }
-    assert_int_equal(rows_of(&a, &b, 1.0, 0.001).refuted, UINT32_MAX);
-    even(20.0f, &a);
-    even(40.0f, &b);
-    set_sd(&a, 5.0f);
-    set_sd(&b, 5.0f);
-    a.x[40] = b.x[40] = 1000.0f * CODE;
-    a.sd[40] = b.sd[40] = 0.05f * CODE;
-    assert_int_equal(rows_of(&a, &b, 1.0, 0.0).refuted, UINT32_MAX);
-}
-
-/* Every patch dark, by a response that only bounds what is dark. */
-static void set_bound(struct exposure_probe *p, float floor_codes)
-{
-    p->linear = false;
-    for (int i = 0; i < EXPOSURE_PROBE_PATCHES; i++) {
-        p->state[i] = EXPOSURE_PROBE_DARK;
-        p->floor[i] = floor_codes * CODE;
-    }
-}
-
-/* The light of a patch counts by the frame that knows it better; with 1 code the ratios 1 and 1/16
- * look alike, with 4 they do not. */
-static void test_light_by_both_frames(void **state)
-{
-    struct exposure_probe a, b;
-    (void)state;
-    even(1.0f, &a);
-    even(0.25f, &b);
-    assert_int_equal(rows_of(&a, &b, 0.0, -4.0).alike, UINT32_MAX);
-    even(4.0f, &a);
-    set_sd(&a, 4.0f);
-    even(0.0625f, &b);
-    set_sd(&b, 0.003f);
-    assert_int_equal(rows_of(&a, &b, 0.0, -4.0).alike, UINT32_MAX);
-    set_bound(&a, 8.0f); // b alone knows
-    assert_int_equal(rows_of(&a, &b, 0.0, -4.0).alike, UINT32_MAX);
-    even(0.25f, &b);
-    assert_int_equal(rows_of(&a, &b, 0.0, -4.0).alike, 0);
-    even(1.0f, &a); // a alone knows
-    even(0.0f, &b);
-    set_sd(&b, 4.0f);
-    set_bound(&b, 8.0f);
-    assert_int_equal(rows_of(&a, &b, 0.0, -4.0).alike, UINT32_MAX);
-    even(4.0f, &a);
-    assert_int_equal(rows_of(&a, &b, 0.0, -4.0).alike, 0);
-}
-
-/* Where both frames but bound the light, any within the bounds may make the ratios differ. */
-static void test_light_that_is_bounded(void **state)
-{
-    struct exposure_probe a, b;
-    (void)state;
-    even(0.0f, &a); // at most 1 code, by either
-    b = a;
-    set_sd(&a, 4.0f);
-    set_sd(&b, 4.0f);
-    set_bound(&a, 1.0f);
-    set_bound(&b, 8.0f);
-    assert_int_equal(rows_of(&a, &b, 0.0, -4.0).alike, UINT32_MAX);
-    set_bound(&a, 8.0f);
-    set_bound(&b, 0.0625f);
-    assert_int_equal(rows_of(&a, &b, 0.0, -4.0).alike, UINT32_MAX);
-    set_bound(&b, 0.25f);
-    assert_int_equal(rows_of(&a, &b, 0.0, -4.0).alike, 0);
-    even(5000.0f, &a); // so bright that both ratios saturate
-    even(5000.0f, &b);
-    assert_int_equal(rows_of(&a, &b, 1.0, 0.5).alike, UINT32_MAX);
-    assert_int_equal(rows_of(&a, &b, -0.2, -1.0).alike, UINT32_MAX);
-    for (int i = 0; i < EXPOSURE_PROBE_PATCHES; i++)
-        a.x[i] = b.x[i] = 0.125f; // a few pixels of the patch are
-    assert_int_equal(rows_of(&a, &b, 1.0, 0.5).alike, 0);
-    for (int i = 0; i < EXPOSURE_PROBE_PATCHES; i++)
-        a.x[i] = 1.0f;
-    assert_int_equal(rows_of(&a, &b, 1.0, 0.5).alike, UINT32_MAX);
-    even(5000.0f, &b);
-    even(0.0f, &a); // 64 to 256 codes: the shorter one may not saturate
-    set_bound(&a, 256.0f);
-    assert_int_equal(rows_of(&a, &b, 5.0, 6.0).alike, 0);
-    assert_int_equal(rows_of(&a, &b, 7.0, 6.0).alike, UINT32_MAX);
-    set_bound(&a, 32.0f); // too little for the other ratio
-    assert_int_equal(rows_of(&a, &b, 5.0, 6.0).alike, 0);
-    even(5000.0f, &a); // 1 to 16: not alike, though the least is
-    even(0.0f, &b);
-    set_bound(&b, 8.0f);
-    assert_int_equal(rows_of(&a, &b, -12.0, -13.0).alike, 0);
-    set_bound(&b, 0.5f);
-    assert_int_equal(rows_of(&a, &b, -12.0, -13.0).alike, UINT32_MAX);
-}
-
-/* Patches that are dark or clipped bound a ratio; two of one exposure are so in both. */
-static void test_refuted_by_bounds(void **state)
-{
-    struct exposure_probe a, b;
-    (void)state;
-    even(0.0f, &a);
-    even(40.0f, &b); // 5 codes in a, cut off at black
-    assert_int_equal(rows_of(&a, &b, 4.0, 3.0).refuted, UINT32_MAX);
-    a.linear = b.linear = false;
-    assert_int_equal(rows_of(&a, &b, 4.0, 3.0).refuted, 0);
-    even(2.0f, &a);
-    even(7.0f, &b);
-    a.linear = b.linear = false;
-    assert_int_equal(rows_of(&a, &b, 2.0, 0.0).refuted, UINT32_MAX);
-    assert_int_equal(rows_of(&a, &b, 2.0, 0.01).refuted, 0);
-    even(8192.0f, &a);
-    even(2048.0f, &b);
-    assert_int_equal(rows_of(&a, &b, -1.0, -2.0).refuted, 0);
-    assert_int_equal(rows_of(&a, &b, -1.0, 0.0).refuted, UINT32_MAX);
-    for (int i = 0; i < EXPOSURE_PROBE_PATCHES; i++)
-        b.state[i] = EXPOSURE_PROBE_CLIPPED;
-    assert_int_equal(rows_of(&a, &b, -1.0, 0.0).refuted, UINT32_MAX);
-    assert_int_equal(rows_of(&a, &b, -1.0, -0.01).refuted, 0);
 }
 
 int main(void)
@@ -749,17 +559,12 @@ int main(void)
         cmocka_unit_test(test_colours),
         cmocka_unit_test(test_small_pictures),
         cmocka_unit_test(test_nothing_to_see),
+        cmocka_unit_test(test_passer),
+        cmocka_unit_test(test_bounds_that_contradict),
         cmocka_unit_test(test_lamp),
         cmocka_unit_test(test_near_the_dark_limit),
         cmocka_unit_test(test_torn_rows),
         cmocka_unit_test(test_wrong_patches),
-        cmocka_unit_test(test_refuted_rows),
-        cmocka_unit_test(test_alike_rows),
-        cmocka_unit_test(test_weak_evidence),
-        cmocka_unit_test(test_refuted_by_bounds),
-        cmocka_unit_test(test_mixed_evidence),
-        cmocka_unit_test(test_light_by_both_frames),
-        cmocka_unit_test(test_light_that_is_bounded),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

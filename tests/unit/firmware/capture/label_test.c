@@ -168,7 +168,18 @@ static void test_reported_gain(void **state)
     assert_int_equal(label_settle(&l, &f, &w, &same), ERR_AGAIN);
 }
 
-/* What dark and clipped patches allow binds, whatever the median says. */
+/* `of` patches in `all` were good before, and are now so dark that it cannot be. */
+static void darken(int of, int all)
+{
+    for (int i = 0; i < EXPOSURE_PROBE_PATCHES; i++)
+        if (i % all < of && w.state[i] == EXPOSURE_PROBE_GOOD && w.x[i] > 0.05f) {
+            w.state[i] = EXPOSURE_PROBE_DARK;
+            w.floor[i] = 0.01f;
+            w.x[i] = 0.005f;
+        }
+}
+
+/* What dark and clipped patches allow binds where few patches have a ratio. */
 static void test_bounds(void **state)
 {
     struct label_look k;
@@ -180,13 +191,9 @@ static void test_bounds(void **state)
         frame(0.008);
     assert_int_equal(look(&k), LABEL_PROVEN);
     assert_true(k.lo < k.stops && k.hi > k.stops);
-    for (int i = 0; i < EXPOSURE_PROBE_PATCHES;
-         i++) // good before, and now so dark that it cannot be
-        if (i % 4 == 0 && w.state[i] == EXPOSURE_PROBE_GOOD && w.x[i] > 0.05f) {
-            w.state[i] = EXPOSURE_PROBE_DARK;
-            w.floor[i] = 0.01f;
-            w.x[i] = 0.005f;
-        }
+    darken(1, 4); // somebody stands there
+    assert_int_equal(look(&k), LABEL_PROVEN);
+    darken(11, 12);
     assert_int_equal(look(&k), LABEL_CONFLICT);
 }
 
