@@ -78,6 +78,8 @@ struct camera_info {
                                     // runs ahead of readout: shorter ones begin later; else all
                                     // begin so
     bool reports;                   // frames say their exposure
+    bool chooses;                   // it has few exposures: its answer to a request is right,
+                                    // however far from it
     bool limited, bt709;            // YUV: 16..235 instead of 0..255; its matrix, else BT.601
 };
 

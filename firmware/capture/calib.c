@@ -396,5 +396,6 @@ void calib_camera(const struct camera_info *info, const struct calib *c, struct 
                                    .delay_hi = c->delay_hi,
                                    .stamp = info->stamp,
                                    .reports = info->reports,
+                                   .chooses = info->chooses,
                                    .tolerance = c->tolerance};
 }

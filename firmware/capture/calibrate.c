@@ -525,6 +525,8 @@ err_t calibrate_run(struct device_probe *w, unsigned parts, double longest_s,
     c->longest_s = longest_s;
     c->calib = *known;
     use_curve(w, c);
+    if (w->info.chooses) // its exposures are known, and steps between them have no effect
+        parts = CALIBRATE_RESPONSE;
     if ((parts & CALIBRATE_RANGE) && !c->calib.has_crf)
         parts |= CALIBRATE_RESPONSE;
     err_t e = calibrate_base(w, c);

@@ -60,7 +60,8 @@ MUST_USE err_t calibrate_range(struct device_probe *w, struct calibrate *c);
 /* Stops that the ratio of neighbours in the sweep may be off. */
 double calibrate_slack(const struct device_probe *w);
 
-/* The parts that are wanted, and what they need; the others stay as in `known`, of calib_load. */
+/* The parts that are wanted, and what they need; the others stay as in `known`, of calib_load. Of a
+ * camera that has few exposures only the response can be measured. */
 MUST_USE err_t calibrate_run(struct device_probe *w, unsigned parts, double longest_s,
                              const struct calib *known, struct calibrate *c);
 

@@ -17,7 +17,7 @@ struct bracket_camera {
     double period_s, time_min_s, time_max_s, time_step_s;
     int delay_lo, delay_hi; // frames, 0..32; unknown: 0..8
     enum camera_stamp stamp;
-    bool reports;
+    bool reports, chooses;
     double tolerance; // stops, BRACKET_TOLERANCE_*
 };
 

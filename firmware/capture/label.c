@@ -95,6 +95,8 @@ struct exposure label_rounded(const struct label *l, const struct exposure *e)
 /* Some devices read back the former setting, or the request without rounding. */
 static struct exposure expected_exposure(const struct label *l, const struct label_request *r)
 {
+    if (l->cfg.chooses)
+        return r->set;
     double off = fabs(label_stops(&r->set) - label_stops(&r->requested));
     bool near = off <= 0.5 || fabs(r->set.time_s - r->requested.time_s) <= l->cfg.time_step_s;
     bool former = !(fabs(label_stops(&r->set) - r->from) >= off); // or the former is unknown

@@ -226,7 +226,8 @@ void feed_info(const void *st, struct camera_info *out)
                                 .gain_max = t->gain_max,
                                 .stamp = (enum camera_stamp)f->opt.stamp,
                                 .ends_on_grid = f->opt.grid != 0,
-                                .reports = f->opt.metadata != FEED_ABSENT};
+                                .reports = f->opt.metadata != FEED_ABSENT,
+                                .chooses = s->snap != NULL};
     memcpy(out->unit, s->unit, sizeof out->unit);
     out->time_max_s = timing_time(t, t->longest_s);
     out->exposure_delay = f->opt.claim >= -1 ? (int)f->opt.claim : t->delay;

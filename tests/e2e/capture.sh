@@ -168,6 +168,23 @@ succeed calibrate --camera "$(sim filmic $FAST,curve=filmic)" --longest 0.1 --ou
 complete calibrated $FAST,curve=filmic --set calibration.path="$OUT/calibration"
 [ "$(figure tolerance_stops)" = 0.1 ] || fail "calibrated: the curve is not used"
 
+# photographs of another program, three exposures 4 stops apart, played again; the curve is theirs
+for curve in srgb filmic; do
+    succeed simulate --out "$OUT/world_$curve" --seed 3 --views 2 --size 112 --samples 1 \
+        --curve $curve
+done
+succeed capture --camera "replay:$OUT/world_srgb/images,clock=virtual" --out "$OUT/replayed"
+replay=replay:$OUT/world_filmic/images,view=1,clock=virtual
+expect 1 "$ineffective; unless its response curve" capture --camera "$replay" --out "$OUT/no"
+succeed calibrate --camera "$replay" --out "$OUT/calibration"
+succeed capture --camera "$replay" --bracket=-4,0,4 --middle 0.25 --out "$OUT/filmic" \
+    --set calibration.path="$OUT/calibration"
+for k in 0 1 2; do
+    read -r _ codes < <("$BIN/compare" display "$OUT/filmic/images/train_00_0$k.png" \
+        "$OUT/world_filmic/images/train_ldr_001_$((2 * k)).png")
+    [ "$codes" = 0 ] || fail "replayed: photograph $k is off by $codes codes"
+done
+
 # ---- bad input
 expect 1 'no such|cannot|not there' capture --camera v4l2:/dev/video99 --out "$TAKES/bad"
 expect 1 'colour' capture --camera sim:colour=3 --out "$TAKES/bad"

@@ -1,8 +1,8 @@
 /* Random takes of simulated cameras in front of rendered scenes: healthy ones must be completed,
  * of whatever size, light and noise, and nearly all under lamps that flicker and when somebody
  * walks by; of those with misfortunes no frame may be kept under another exposure than its own, or
- * torn. TAKES=2000 in the environment: so many of each, and a fifth of the nearly all; FIRST: the first of them, as a failure
- * names it. */
+ * torn. TAKES=2000 in the environment: so many of each, and a fifth under lamps and with somebody;
+ * FIRST: the first of them, as a failure names it. */
 #include "core/base/splitmix.h"
 #include "tests/unit/firmware/capture/session_rig.h"
 
