@@ -6,11 +6,12 @@
 #define SFM_BOARDCAL_H
 
 #include "core/base/plan.h"
+#include "core/base/rig.h"
 #include "core/base/types.h"
 #include "core/sfm/boardfit.h"
 
 enum {
-    BOARDCAL_CAMERAS = 64,
+    BOARDCAL_CAMERAS = RIG_CAMERAS_MAX,
     BOARDCAL_TAKES = 64,
     BOARDCAL_LEAST = 8 // corners of a take with which a camera counts: of two tags
 };

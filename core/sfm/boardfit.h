@@ -7,6 +7,7 @@
 
 #include "core/base/arena.h"
 #include "core/base/lens.h"
+#include "core/base/rig.h"
 #include "core/sfm/covariance.h"
 
 enum {
@@ -37,7 +38,7 @@ struct boardfit_points {
     double kernel;                      // expected errors, width of the loss
 };
 
-enum { BOARDFIT_SEEN = 64 };
+enum { BOARDFIT_SEEN = RIG_CAMERAS_MAX };
 
 struct boardfit_lens {
     struct lens lens;                                 // fx = fy

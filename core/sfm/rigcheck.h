@@ -4,11 +4,12 @@
 #ifndef SFM_RIGCHECK_H
 #define SFM_RIGCHECK_H
 
+#include "core/base/rig.h"
 #include "core/sfm/match.h"
 
 enum {
     RIGCHECK_LEAST = 3, // cameras: with two one cannot tell which of them moved
-    RIGCHECK_MOST = 64  // of a rig
+    RIGCHECK_MOST = RIG_CAMERAS_MAX
 };
 
 /* A camera moved if what it sees is more than this share of its longer edge off: half a pixel of

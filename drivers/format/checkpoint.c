@@ -485,7 +485,7 @@ static err_t open_content(const char *path, FILE **f, uint64_t *bytes, enum cont
     *out = CONTENT_SAFETENSORS;
     if (n == sizeof first && memcmp(first, "PK\3\4", 4) == 0)
         *out = CONTENT_ZIP;
-    else if (first[0] == '{' && !memchr(first, 0, n)) // no length: below 2 MB it ends with zeros
+    else if (first[0] == '{' && !memchr(first, 0, n)) // no length: below 4 MB it ends with zeros
         *out = CONTENT_INDEX;
     if (first[0] != 0x80 || first[1] >= 6)
         return OK;

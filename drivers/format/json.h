@@ -15,7 +15,7 @@ struct cJSON;
 
 /* A node of JSON takes up to 40 times the bytes of its text: this bounds the memory for a hostile
  * file. */
-enum { JSON_BYTES_MAX = 2 << 20 };
+enum { JSON_BYTES_MAX = 4 << 20 };
 
 /* Parse n bytes of text; `what` (a file) begins the sentence. Nothing but blanks may follow the
  * value.

@@ -3,7 +3,7 @@
  * data (github.com/huggingface/safetensors).
  *
  * The reader refuses
- *  1. a header length above 2 MB or beyond the file;
+ *  1. a header length above 4 MB or beyond the file;
  *  2. a header that is not JSON;
  *  3. tensors with other members than dtype, shape and data_offsets, a type that the format does
  *     not have, more than 8 extents or extents that are no whole numbers;

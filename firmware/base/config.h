@@ -8,6 +8,7 @@
 #define BASE_CONFIG_H
 
 #include "core/base/err.h"
+#include "core/base/rig.h"
 
 #include <stdbool.h>
 #include <stddef.h>
@@ -19,7 +20,7 @@ enum { CONFIG_FILE_MAX = 16384 }; // bytes
 
 /* bytes with 0; numbers of each; stops */
 enum { CONFIG_TEXT = 200, CONFIG_CAMERAS = 16, CONFIG_TRIGGERS = 4, CONFIG_STOPS_MAX = 16 };
-enum { CONFIG_MEMBERS = 64 };
+enum { CONFIG_MEMBERS = RIG_CAMERAS_MAX };
 
 enum { CONFIG_SIZE_AUTO = 0, CONFIG_SIZE_FULL = -1 };
 enum config_bracket { CONFIG_AUTO, CONFIG_LIST };

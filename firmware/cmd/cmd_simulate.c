@@ -4,6 +4,7 @@
 #include "firmware/result/outdir.h"
 
 #include "core/base/num.h"
+#include "core/base/rig.h"
 #include "drivers/format/apriltags.h"
 #include "drivers/format/boardpdf.h"
 #include "drivers/format/rigfile.h"
@@ -13,7 +14,10 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { INPUTS_MAX = 32, BOARD_SIDE = BOARD_STRIDE * BOARD_PITCH_CELLS + BOARD_GAP_CELLS };
+enum {
+    INPUTS_MAX = RIG_CAMERAS_MAX,
+    BOARD_SIDE = BOARD_STRIDE * BOARD_PITCH_CELLS + BOARD_GAP_CELLS
+};
 
 struct request {
     const char *out, *views, *kind, *spread, *orbit, *fov, *exposures, *curve, *samples, *moving,
@@ -23,7 +27,7 @@ struct request {
     struct target target;
     unsigned char black[BOARD_SIDE * BOARD_SIDE]; // cells of the board
     const char *lens[CMD_TEXTS_MAX];
-    struct optics optics[CMD_TEXTS_MAX]; // of `lens`, or of the rig
+    struct optics optics[INPUTS_MAX]; // of `lens`, or of the rig
     struct camera rig[INPUTS_MAX];
     bool noise_free, free_hand, walk, depth;
     struct outdir_rules rules;
@@ -355,7 +359,7 @@ int cmd_simulate_run(int argc, char **argv)
         {"out", "DIR", "folder of the data set; a former one is replaced", NULL, &rq.out, NULL},
         CMD_FORCE(rq.rules),
         CMD_KEY("seed", "N", "seed", "which world"),
-        {"views", "N", "inputs, 2..32; a view is held out between two (9)", NULL, &rq.views, NULL},
+        {"views", "N", "inputs, 2..128; a view is held out between two (9)", NULL, &rq.views, NULL},
         {"kind", "K",
          "room, yard, dark, plain, mirror or park (default: the seed chooses room or yard)", NULL,
          &rq.kind, NULL},

@@ -21,7 +21,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-enum { CTL_CLIENTS_MAX = 8, CTL_LINE_MAX = 256, CTL_ANSWER_MAX = 1 << 19 };
+enum { CTL_CLIENTS_MAX = 8, CTL_LINE_MAX = 256, CTL_ANSWER_MAX = 1 << 20 };
 
 /* One line of a client; `id` is for ctl_answer, now or later. */
 typedef void ctl_line_fn(void *ctx, uint64_t id, const char *line);

@@ -1,7 +1,5 @@
 #include "firmware/daemon/summary.h"
 
-#include "firmware/store/manifest.h"
-
 #include "drivers/format/file.h"
 #include "drivers/format/json.h"
 

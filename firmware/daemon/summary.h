@@ -3,12 +3,13 @@
 #ifndef DAEMON_SUMMARY_H
 #define DAEMON_SUMMARY_H
 
+#include "firmware/store/manifest.h"
 #include "firmware/store/store.h"
 
 #include <stdbool.h>
 #include <stdio.h>
 
-enum { SUMMARY_EXPOSURES = 3, SUMMARY_IMAGES = 64 };
+enum { SUMMARY_EXPOSURES = 3, SUMMARY_IMAGES = MANIFEST_CAMERAS_MAX };
 
 struct summary {
     char id[STORE_ID_CAP];

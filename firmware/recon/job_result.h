@@ -3,6 +3,7 @@
 #ifndef RECON_JOB_RESULT_H
 #define RECON_JOB_RESULT_H
 
+#include "core/base/rig.h"
 #include "core/base/types.h"
 #include "core/photo/prep.h"
 #include "core/refine/confidence.h"
@@ -29,8 +30,8 @@ enum job_stage {
     JOB_STAGES
 };
 
-enum { JOB_LENSES = 8 };    // that the report names
-enum { JOB_WARNINGS = 76 }; // one for each view that may be left out, and some
+enum { JOB_LENSES = 8 };                      // that the report names
+enum { JOB_WARNINGS = RIG_CAMERAS_MAX + 12 }; // one for each camera of a rig, and some
 
 /* How cameras that were not known were found. */
 struct job_cameras {

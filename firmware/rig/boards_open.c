@@ -151,7 +151,7 @@ static err_t subscribe(struct boards *b, enum message_topic t, const char *membe
 static int camera_of(const char *name)
 {
     int camera, exposure;
-    return sscanf(name, "train_%2d_%2d", &camera, &exposure) == 2 && camera >= 0 &&
+    return sscanf(name, "train_%3d_%2d", &camera, &exposure) == 2 && camera >= 0 &&
                    camera < MESSAGE_MEMBERS
                ? camera
                : -1;

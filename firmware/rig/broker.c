@@ -249,8 +249,9 @@ static err_t write_settings(const struct work *w, const struct broker_site *s)
                            "listener %d\nallow_anonymous false\n"
                            "password_file %s/users\nacl_file %s/acl\n"
                            "certfile %s/server.pem\nkeyfile %s/server.key\ntls_version tlsv1.2\n"
-                           "max_packet_size 131072\nset_tcp_nodelay true\n",
-             s->host, s->port, s->rig, s->conductor, s->port, w->own, w->own, w->own, w->own);
+                           "max_packet_size %d\nset_tcp_nodelay true\n",
+             s->host, s->port, s->rig, s->conductor, s->port, w->own, w->own, w->own, w->own,
+             2 * MESSAGE_MAX);
     const err_t e = own_path(w, "hdrig.conf", path);
     return e ? e : textfile_write(path, &all, text);
 }

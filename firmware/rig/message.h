@@ -8,6 +8,7 @@
 #include "firmware/capture/take.h"
 #include "firmware/store/manifest.h"
 
+#include "core/base/rig.h"
 #include "core/base/sha256.h"
 
 #include <stdio.h>
@@ -15,8 +16,8 @@
 enum {
     MESSAGE_MAX = 65536,
     MESSAGE_TOPIC_CAP = 128,
-    MESSAGE_MEMBERS = 64, // boards of a rig
-    MESSAGE_HOLDS = 64,   // parts that a member tells of
+    MESSAGE_MEMBERS = RIG_CAMERAS_MAX, // boards of a rig
+    MESSAGE_HOLDS = 64,                // parts that a member tells of
     MESSAGE_EPOCH_CAP = 17,
     MESSAGE_WORD_CAP = 32,
     MESSAGE_TOKEN_CAP = 33,

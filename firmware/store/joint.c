@@ -65,8 +65,8 @@ err_t joint_begin(struct store *s, const char *id, const char *text)
         return OK;
     snprintf(why, sizeof why, "%s", err_text());
     if (!shown)
-        store_fs_remove(s->fs, tmp, store_is_staged);
-    else if (store_keep_drop(s, STORE_RIG, id, store_is_staged) != OK)
+        store_fs_remove(s->fs, tmp, store_files_of_staging);
+    else if (store_keep_drop(s, STORE_RIG, id, store_files_of_staging) != OK)
         return err_fail(e, "%s; its order stays", why);
     return err_fail(e, "%s", why);
 }
@@ -94,7 +94,7 @@ err_t joint_drop(struct store *s, const char *id)
     err_t e = folder_path(s->path, STORE_RIG, id, path);
     if (e || !file_is_dir(path))
         return e;
-    return store_keep_drop(s, STORE_RIG, id, store_is_staged);
+    return store_keep_drop(s, STORE_RIG, id, store_files_of_staging);
 }
 
 int joint_pending(const char *store, char (*ids)[STORE_ID_CAP], int cap)

@@ -345,7 +345,7 @@ static err_t put_manifest(struct work *w)
 
 static err_t write_take(struct work *w)
 {
-    store_fs_remove(w->s->fs, w->to.tmp, store_is_file); // of a try that could not be removed
+    store_fs_remove(w->s->fs, w->to.tmp, store_files_of_take); // of a try that could not be removed
     err_t e = store_fs_mkdir(w->s->fs, w->to.tmp);
     if (!e)
         e = each_folder(w, store_fs_mkdir);

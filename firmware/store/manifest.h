@@ -7,6 +7,7 @@
 
 #include "firmware/capture/take.h"
 
+#include "core/base/rig.h"
 #include "core/base/sha256.h"
 #include "core/photo/develop.h"
 
@@ -16,7 +17,7 @@
 
 enum {
     MANIFEST_NAME_CAP = 64,
-    MANIFEST_CAMERAS_MAX = 64, // of a joint take (joint.h), on all its boards
+    MANIFEST_CAMERAS_MAX = RIG_CAMERAS_MAX, // of a joint take (joint.h), on all its boards
     MANIFEST_FRAMES_MAX = MANIFEST_CAMERAS_MAX * BRACKET_EXPOSURES_MAX,
     MANIFEST_FILES_MAX = 3 * MANIFEST_FRAMES_MAX + MANIFEST_CAMERAS_MAX + 1,
     MANIFEST_MEMBERS_MAX = MANIFEST_CAMERAS_MAX,

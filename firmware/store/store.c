@@ -51,52 +51,6 @@ bool store_is_id(const char *name)
     return strlen(name) < STORE_ID_CAP && store_number(name, &is_aborted) != 0;
 }
 
-/* Digits in the patterns stand for those of camera and exposure. */
-bool store_is_file(const char *name)
-{
-    static const char *const names[] = {MANIFEST_FILE,
-                                        "exposure.json",
-                                        "raw",
-                                        "images",
-                                        "merged",
-                                        "raw/00_00.bin",
-                                        "raw/00_00.jpg",
-                                        "merged/00.exr",
-                                        "masks",
-                                        "masks/train_00_00.png",
-                                        "images/train_00_00.png",
-                                        "images/train_00_00.jpg"};
-    for (size_t i = 0; i < sizeof names / sizeof names[0]; i++) {
-        const char *a = names[i], *b = name;
-        for (; *a && (*a == *b || (*a == '0' && *b >= '0' && *b <= '9')); a++, b++)
-            ;
-        if (!*a && !*b)
-            return true;
-    }
-    return false;
-}
-
-bool store_is_staged(const char *name)
-{
-    char member[TAKE_MEMBER_CAP], file[MANIFEST_NAME_CAP];
-    size_t n = strcspn(name, "/"), end = sizeof STORE_RIG_PART - 1;
-    if (strcmp(name, STORE_RIG_ORDER) == 0 || strcmp(name, STORE_RIG_BOOT) == 0)
-        return true;
-    if (n >= sizeof member)
-        return false;
-    memcpy(member, name, n);
-    member[n] = 0;
-    if (!manifest_is_member(member) || !name[n])
-        return manifest_is_member(member);
-    size_t k = strlen(name += n + 1);
-    if (k >= sizeof file)
-        return false;
-    memcpy(file, name, k + 1);
-    if (k > end && strcmp(file + k - end, STORE_RIG_PART) == 0)
-        file[k - end] = 0;
-    return store_is_file(file);
-}
-
 bool store_next_entry(DIR *d, const char *prefix, struct store_entry *out)
 {
     const size_t skip = strlen(prefix);
@@ -325,7 +279,7 @@ static void remove_leftovers(struct store *s)
         const bool staging = is_tmp_staging(entry->d_name);
         if ((staging || is_tmp_name(entry->d_name)) &&
             file_join(s->path, entry->d_name, path) == OK)
-            store_fs_remove(s->fs, path, staging ? store_is_staged : store_is_file);
+            store_fs_remove(s->fs, path, staging ? store_files_of_staging : store_files_of_take);
     }
     if (d)
         closedir(d);
@@ -747,7 +701,7 @@ void store_take_back(const struct store_new *n)
     if (!e && n->shown)
         e = store_fs_sync_dir(fs, n->s->path);
     if (!e)
-        store_fs_remove(fs, n->tmp, store_is_file);
+        store_fs_remove(fs, n->tmp, store_files_of_take);
     else
         log_warn("%s", err_text());
 }

@@ -1,5 +1,5 @@
-/* store_inner.h - what the files of the store share: store.c, store_check.c, store_keep.c, and
- * joint.c, which makes one take of many. */
+/* store_inner.h - what the files of the store share: store.c, store_check.c, store_files.c,
+ * store_keep.c, and joint.c, which makes one take of many. */
 #ifndef STORE_STORE_INNER_H
 #define STORE_STORE_INNER_H
 
@@ -52,13 +52,6 @@ bool store_comes_before(const struct store_entry *a, const struct store_entry *b
 /* Ids of the folders with that prefix, newest first; returns their number, at most cap. */
 int store_list_prefix(const char *path, const char *prefix, char (*ids)[STORE_ID_CAP], int cap);
 
-/* Whether a take may have a file or folder of that name; everything else belongs to other
- * programs. */
-bool store_is_file(const char *name);
-
-/* The same of a staging folder. */
-bool store_is_staged(const char *name);
-
 /* Whether a complete take is a board's part.
  * out:  id of the rig's take and name of the board, if it is. */
 bool store_is_part(const struct store_fs *fs, const char *path, const char *id,
@@ -90,6 +83,15 @@ MUST_USE err_t store_check_listed(const struct manifest *m, const char *dir, con
 MUST_USE err_t store_check_file(const struct store_fs *fs, const char *dir,
                                 const struct manifest_file *f);
 MUST_USE err_t store_check_take(const struct store_fs *fs, const char *dir, struct manifest *out);
+
+/* ---- store_files.c ---- */
+
+/* Whether a take may have a file or folder of that name; everything else belongs to other
+ * programs. */
+bool store_files_of_take(const char *name);
+
+/* The same of a staging folder. */
+bool store_files_of_staging(const char *name);
 
 /* ---- store_keep.c: for takes, the caller holds s->lock ---- */
 

@@ -41,7 +41,7 @@ static err_t check_removable(struct store *s, const char *id)
 err_t store_keep_remove(struct store *s, const char *id)
 {
     err_t e = check_removable(s, id);
-    return e ? e : store_keep_drop(s, "", id, store_is_file);
+    return e ? e : store_keep_drop(s, "", id, store_files_of_take);
 }
 
 /* Whether store.keep is about a take: parts of a rig's takes wait for their conductor. */
@@ -99,7 +99,7 @@ void store_keep_newest(struct store *s, bool is_aborted, const char *session)
             s->kept = x.number > s->kept ? x.number : s->kept;
         } else if (!(s->old.complete && s->old.rig_take[0]) &&
                    (!*session || strcmp(s->old.session, session) != 0)) {
-            e = store_keep_drop(s, "", x.id, store_is_file);
+            e = store_keep_drop(s, "", x.id, store_files_of_take);
         }
     }
     if (e)
@@ -113,7 +113,7 @@ void store_keep_unstage(const struct store *s)
     DIR *d = opendir(s->path);
     while (d && store_next_entry(d, STORE_RIG, &x))
         if (file_join(s->path, x.id, path) == OK && file_is_dir(path) &&
-            store_keep_drop(s, STORE_RIG, x.id, store_is_staged) != OK)
+            store_keep_drop(s, STORE_RIG, x.id, store_files_of_staging) != OK)
             log_warn("%s", err_text());
     if (d)
         closedir(d);

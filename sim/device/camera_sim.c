@@ -5,6 +5,7 @@
  * open, and the family and parameter of the curve: they determine the sensor and its response. */
 #include "sim/device/camera_sim.h"
 
+#include "core/base/rig.h"
 #include "sim/sensor/sensor.h"
 #include "sim/world/passer.h"
 #include "sim/world/render.h"
@@ -37,8 +38,8 @@ struct state {
 static const struct uri_key keys[] = {
     {"seed", AT(seed), URI_WHOLE, 0, 9007199254740992.0, NULL},
     {"kind", AT(kind), URI_WORD, 0, 0, "any|" WORLD_WORDS},
-    {"views", AT(views), URI_WHOLE, 1, 64, NULL},
-    {"view", AT(view), URI_WHOLE, 0, 63, NULL},
+    {"views", AT(views), URI_WHOLE, 1, RIG_CAMERAS_MAX, NULL},
+    {"view", AT(view), URI_WHOLE, 0, RIG_CAMERAS_MAX - 1, NULL},
     {"at", AT(at), URI_STRING, 0, 0, NULL}, // file with the number of the view that is seen now
     {"spread", AT(spread), URI_REAL, 0, 1, NULL},
     {"fov", AT(fov), URI_REAL, 20, 120, NULL},
@@ -100,7 +101,7 @@ static err_t render_world_view(const struct run *r, const struct options *o, str
 {
     struct world w;
     struct render_world *scene;
-    struct camera cams[64];
+    struct camera cams[RIG_CAMERAS_MAX];
     struct world_path path = {.n = (int)o->views,
                               .spread = (float)o->spread,
                               .fov_deg = (float)o->fov,

@@ -144,7 +144,7 @@ printf '{"cameras": [' >"$OUT/cut.json"
 expect 1 'cut.json: ' reconstruct --images "$OUT/two" --out "$OUT/refused" \
     --set "rig.file=$OUT/cut.json"
 take single 0
-expect 1 'single: 1 cameras, a rig of 2 to 64' rig calibrate "$OUT/single" --out "$OUT/no.json"
+expect 1 'single: 1 cameras, a rig of 2 to 128' rig calibrate "$OUT/single" --out "$OUT/no.json"
 expect 1 'two/images/none: ' rig calibrate "$OUT/two/images/none" --out "$OUT/no.json"
 expect 1 'nowhere' rig calibrate "$OUT/one" --out "$OUT/nowhere/rig.json"
 expect 2 'is none of its commands' rig --out "$OUT/no.json"

@@ -14,7 +14,7 @@ expect 2 '--out is needed' simulate
 expect 2 '--kind: "moon" is none of room.yard' simulate --out "$OUT/no" --kind moon
 expect 2 '--kind: "room.yard" is none of' simulate --out "$OUT/no" --kind 'room|yard'
 expect 2 '--views: 2.5 is not a whole number' simulate --out "$OUT/no" --views 2.5
-expect 2 '--views: 1 is not in 2..32' simulate --out "$OUT/no" --views 1
+expect 2 '--views: 1 is not in 2..128' simulate --out "$OUT/no" --views 1
 expect 2 '--moving: 0.31 is not in 0.002..0.3' simulate --out "$OUT/no" --moving 0.31
 expect 2 '--flicker: 3.5 is not in 0..3' simulate --out "$OUT/no" --flicker 3.5
 expect 2 '--orbit: only --kind park' simulate --out "$OUT/no" --kind yard --orbit 20

@@ -16,18 +16,18 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { CAMERAS = 4, TAKES = 8, COLS = 6, ROWS = 4, CORNERS = CAMERAS * TAKES * COLS * ROWS * 4 };
+enum { CAMERAS = 4, MANY = 100, TAKES = 12, COLS = 6, ROWS = 4 };
 
 struct rig {
     int n_cameras, n_takes, n_lenses;
-    int lens_of[CAMERAS];
-    struct lens lens[CAMERAS];
-    double pose[CAMERAS][BOARDFIT_POSE], board[TAKES][BOARDFIT_POSE];
+    int lens_of[MANY];
+    struct lens lens[1];
+    double pose[MANY][BOARDFIT_POSE], board[TAKES][BOARDFIT_POSE];
     double noise, spread; // px
     int tags;             // of each board, at most
     bool frontal;         // boards are parallel to the first camera
     uint64_t state;
-    struct boardfit_corner corner[CORNERS];
+    struct boardfit_corner *corner; // (n) malloc'd
     int n;
 };
 
@@ -47,7 +47,8 @@ static void set_ring(struct rig *g, int n, double turn)
 {
     g->n_cameras = n;
     for (int i = 0; i < n; i++) {
-        const double w[3] = {0.02 * i, -turn * i * NUM_PI / 180, 0.1 * i}, at[3] = {0, 0, 1};
+        const double w[3] = {0.02 * (i % CAMERAS), -turn * i * NUM_PI / 180, 0.1 * (i % CAMERAS)},
+                     at[3] = {0, 0, 1};
         rotation_exp(w, g->pose[i]);
         memcpy(g->pose[i] + 9, (double[]){-at[0], -at[1], -at[2]}, 3 * sizeof(double));
     }
@@ -65,10 +66,13 @@ static void set_lens(struct rig *g, enum lens_model model, double focal, double 
     assert_int_equal(lens_init(&g->lens[0]), OK);
 }
 
-/* The board of a take before the cameras k and k + 1. */
+/* The board of a take before the cameras k and k + 1; these are spread over many. */
 static void place_board(struct rig *g, int take)
 {
-    const int a = g->n_cameras > 1 ? take % (g->n_cameras - 1) : 0,
+    const int pairs = g->n_cameras - 1,
+              a = pairs > g->n_takes ? take * pairs / (g->n_takes - 1)
+                  : pairs > 0        ? take % pairs
+                                     : 0,
               b = num_min(a + 1, g->n_cameras - 1);
     double w[3], turn[9], x[3] = {0}, mean[9], q[4];
     for (int k = 0; k < 3; k++)
@@ -111,7 +115,7 @@ static void see_corner(struct rig *g, const struct boardfit *b, int camera, int 
 
 static void photograph(struct rig *g)
 {
-    struct boardfit_lens lens[CAMERAS];
+    struct boardfit_lens lens[1];
     for (int i = 0; i < g->n_lenses; i++)
         lens[i] = (struct boardfit_lens){.lens = g->lens[i]};
     const struct boardfit b = {.n_cameras = g->n_cameras,
@@ -132,11 +136,10 @@ static void photograph(struct rig *g)
 
 static err_t calibrate(struct rig *g, struct boardcal_result *out)
 {
-    struct boardcal_lens lens[CAMERAS];
+    const struct boardcal_lens lens = {.w = 1280, .h = 960};
     struct arena tmp;
-    for (int i = 0; i < CAMERAS; i++)
-        lens[i] = (struct boardcal_lens){.w = 1280, .h = 960};
-    struct boardcal in = {g->n_cameras, g->n_takes, g->n_lenses, g->n, g->lens_of, lens, g->corner};
+    struct boardcal in = {g->n_cameras, g->n_takes, g->n_lenses, g->n,
+                          g->lens_of,   &lens,      g->corner};
     assert_int_equal(arena_init(&tmp, "tmp", boardcal_plan(g->n_cameras, g->n_takes, g->n, 0, 0)),
                      OK);
     const struct run r = {.tmp = &tmp};
@@ -173,6 +176,8 @@ static struct rig *new_rig(int n, double turn, int takes)
 {
     struct rig *g = calloc(1, sizeof *g);
     assert_non_null(g);
+    g->corner = calloc((size_t)(n * takes * COLS * ROWS * 4), sizeof *g->corner);
+    assert_non_null(g->corner);
     g->n_takes = takes;
     g->noise = 0.1;
     g->tags = COLS * ROWS;
@@ -180,6 +185,12 @@ static struct rig *new_rig(int n, double turn, int takes)
     set_ring(g, n, turn);
     set_lens(g, LENS_RADIAL, 900, -0.12);
     return g;
+}
+
+static void free_rig(struct rig *g)
+{
+    free(g->corner);
+    free(g);
 }
 
 /* ---- */
@@ -266,7 +277,7 @@ static void gradients(void **state)
             for (int d = 0; d < 2; d++)
                 assert_true(fabs((more[d] - less[d]) / 2e-6 - derivative(&j, unknown, d)) < 1e-3);
         }
-        free(g);
+        free_rig(g);
     }
 }
 
@@ -285,7 +296,7 @@ static void poses(void **state)
         photograph(g);
         assert_int_equal(boardpose_find(&tmp, &g->lens[0], g->corner, g->n, pose, &error), OK);
         if (g->n < 8) {
-            free(g);
+            free_rig(g);
             continue;
         }
         assert_true(error < 0.01);
@@ -294,7 +305,7 @@ static void poses(void **state)
         lin_product_t(truth, pose, diff);
         rotation_log(diff, w);
         assert_true(sqrt(lin_dot(w, w)) < (g->tags == 2 ? 0.05 : 0.004));
-        free(g);
+        free_rig(g);
     }
     arena_free(&tmp);
 }
@@ -316,61 +327,85 @@ static void overlapping(void **state)
     assert_true(o.rms_px < 0.2);
     covariance_deviations(o.covariance[3], sd);
     assert_true(sd[0] > 0 && turned * NUM_PI / 180 < 5 * sd[0] + 1e-4);
-    free(g);
+    free_rig(g);
 }
 
-/* Points that all cameras see, beside corners with much noise: from the boards' places on. */
-static void with_points(void **state)
+/* Points that all cameras see, before the one in the middle. own: of *p, free. */
+static void see_points(struct rig *g, int n, double depth, struct boardfit_points *p)
 {
-    enum { POINTS = 300 };
-    static struct boardcal_result o;
-    static struct boardfit_sight sight[POINTS * CAMERAS];
-    static double at[POINTS][3];
-    static int first[POINTS + 1];
-    struct boardcal_lens lens[CAMERAS];
-    struct arena tmp;
-    double before[2], after[2], sd[2];
-    (void)state;
-    struct rig *g = new_rig(4, 8, 3);
-    g->noise = 0.6;
-    photograph(g);
-    for (int i = 0; i < CAMERAS; i++)
-        lens[i] = (struct boardcal_lens){.w = 1280, .h = 960};
-    struct boardcal in = {4, 3, 1, g->n, g->lens_of, lens, g->corner};
-    assert_int_equal(arena_init(&tmp, "tmp", boardcal_plan(4, 3, g->n, POINTS, POINTS * CAMERAS)),
-                     OK);
-    const struct run r = {.tmp = &tmp};
-    assert_int_equal(boardcal_run(&r, &in, &o), OK);
-    compare(g, &o, &before[0], &before[1]);
-
-    struct boardfit_lens true_lens = {.lens = g->lens[0]};
-    struct boardfit b = {.lens_of = g->lens_of, .lens = &true_lens, .pose = g->pose};
-    struct boardfit_points p = {0, first, sight, at, 0};
-    for (int i = 0; i < POINTS; i++) {
-        const double z = 6 + 8 * draw(g),
-                     x[3] = {z * (draw(g) - 0.5) - g->pose[0][9], z * (draw(g) - 0.5), z + 1};
-        int n = first[p.n];
-        for (int c = 0; c < CAMERAS; c++) {
-            sight[n] = (struct boardfit_sight){.camera = c, .sigma = 0.1};
-            assert_true(boardfit_sight_error(&b, &sight[n], x, sight[n].px));
+    struct boardfit_lens lens = {.lens = g->lens[0]};
+    struct boardfit b = {.lens_of = g->lens_of, .lens = &lens, .pose = g->pose};
+    const size_t sights = (size_t)(n * g->n_cameras);
+    struct boardfit_sight *s = calloc(sights, sizeof *s);
+    const double *middle = g->pose[(g->n_cameras - 1) / 2];
+    int *first = calloc((size_t)n + 1, sizeof *first);
+    *p = (struct boardfit_points){n, first, s, calloc((size_t)n, sizeof *p->at), 0};
+    assert_true(s && first && p->at);
+    for (int i = 0; i < n; i++) {
+        const double z = depth * (1 + draw(g)),
+                     cam[3] = {z * (draw(g) - 0.5) - middle[9], z * (draw(g) - 0.5) - middle[10],
+                               z - middle[11]};
+        double x[3];
+        lin_apply_t(middle, cam, x);
+        for (int c = 0; c < g->n_cameras; c++, s++) {
+            *s = (struct boardfit_sight){.camera = c, .sigma = 0.1};
+            assert_true(boardfit_sight_error(&b, s, x, s->px));
             for (int d = 0; d < 2; d++)
-                sight[n].px[d] += 0.1 * draw_normal(g) + (i % 20 == 0 && c == 1 ? 3 : 0);
-            n++;
+                s->px[d] += 0.1 * draw_normal(g) + (i % 20 == 0 && c == 1 ? 3 : 0);
         }
         for (int k = 0; k < 3; k++) // in the world of the first camera, and not exact
-            at[p.n][k] = lin_dot(g->pose[0] + 3 * k, x) + g->pose[0][9 + k] + 0.02 * draw_normal(g);
-        first[++p.n] = n;
+            p->at[i][k] =
+                lin_dot(g->pose[0] + 3 * k, x) + g->pose[0][9 + k] + 0.02 * draw_normal(g);
+        first[i + 1] = (i + 1) * g->n_cameras;
     }
-    assert_int_equal(boardcal_refine(&r, &in, &p, &o), OK);
-    assert_int_equal(tmp.used, 0);
-    compare(g, &o, &after[0], &after[1]);
-    print_message("with points: %.4f degrees, %.4f units; without %.4f, %.4f\n", after[0], after[1],
-                  before[0], before[1]);
-    assert_true(after[0] < 0.02 && after[1] < 0.004 && after[0] < before[0] / 2);
-    covariance_deviations(o.covariance[3], sd);
-    assert_true(sd[0] > 0 && sd[0] < 0.001);
-    arena_free(&tmp);
-    free(g);
+}
+
+static void free_points(struct boardfit_points *p)
+{
+    free((void *)p->first);
+    free((void *)p->sight);
+    free(p->at);
+}
+
+/* From the boards' places on, beside corners with much noise. */
+static void with_points(void **state)
+{
+    static const struct {
+        int cameras, takes, points;
+        double turn, depth;
+    } rigs[] = {{CAMERAS, 3, 300, 8, 6}, {MANY, TAKES, 60, 0.3, 9}};
+    static struct boardcal_result o;
+    const struct boardcal_lens lens = {.w = 1280, .h = 960};
+    (void)state;
+    for (int i = 0; i < 2; i++) {
+        const int n = rigs[i].cameras, takes = rigs[i].takes, points = rigs[i].points;
+        struct boardfit_points p;
+        struct arena tmp;
+        double before[2], after[2], sd[2];
+        struct rig *g = new_rig(n, rigs[i].turn, takes);
+        g->noise = 0.6;
+        g->tags = n == MANY ? 8 : g->tags;
+        photograph(g);
+        struct boardcal in = {n, takes, 1, g->n, g->lens_of, &lens, g->corner};
+        assert_int_equal(arena_init(&tmp, "tmp", boardcal_plan(n, takes, g->n, points, points * n)),
+                         OK);
+        const struct run r = {.tmp = &tmp};
+        assert_int_equal(boardcal_run(&r, &in, &o), OK);
+        assert_true(boardcal_tied(&in, &o));
+        compare(g, &o, &before[0], &before[1]);
+        see_points(g, points, rigs[i].depth, &p);
+        assert_int_equal(boardcal_refine(&r, &in, &p, &o), OK);
+        assert_int_equal(tmp.used, 0);
+        compare(g, &o, &after[0], &after[1]);
+        print_message("%d cameras with points: %.4f degrees, %.4f units; without %.4f, %.4f\n", n,
+                      after[0], after[1], before[0], before[1]);
+        assert_true(after[0] < 0.02 && after[1] < 0.004 && after[0] < before[0] / 2);
+        covariance_deviations(o.covariance[n - 1], sd);
+        assert_true(sd[0] > 0 && sd[0] < 0.001);
+        arena_free(&tmp);
+        free_points(&p);
+        free_rig(g);
+    }
 }
 
 /* Neighbours see parts of a board between them. */
@@ -387,7 +422,7 @@ static void outward(void **state)
     print_message("outward: %.4f degrees, %.4f units, focal %.2f, rms %.3f px\n", turned, shift,
                   o.lens[0].fx, o.rms_px);
     assert_true(turned < 0.15 && shift < 0.06);
-    free(g);
+    free_rig(g);
 }
 
 static void fisheyes(void **state)
@@ -404,7 +439,7 @@ static void fisheyes(void **state)
                   turned, shift, o.lens[0].fx);
     assert_int_equal(o.lens[0].model, LENS_OPENCV_FISHEYE);
     assert_true(turned < 0.1 && shift < 0.04 && fabs(o.lens[0].fx / 480 - 1) < 5e-3);
-    free(g);
+    free_rig(g);
 }
 
 /* White that spreads over black, by another amount in each photograph, changes no length. */
@@ -420,7 +455,7 @@ static void spread(void **state)
     compare(g, &o, &turned, &shift);
     print_message("spread: %.4f degrees, %.4f units, rms %.3f px\n", turned, shift, o.rms_px);
     assert_true(turned < 0.05 && shift < 0.02 && o.rms_px < 0.25);
-    free(g);
+    free_rig(g);
 }
 
 /* Wrong corners are left out. */
@@ -440,7 +475,7 @@ static void outliers(void **state)
     compare(g, &o, &turned, &shift);
     assert_true(turned < 0.05 && shift < 0.02);
     assert_in_range(o.used, n * 9 / 10, n - n / 30);
-    free(g);
+    free_rig(g);
 }
 
 static void degenerate(void **state)
@@ -454,14 +489,14 @@ static void degenerate(void **state)
     g->tags = 1;
     photograph(g);
     assert_int_equal(calibrate(g, &o), ERR_ARG); // one tag is too few
-    free(g);
+    free_rig(g);
 
     g = new_rig(1, 0, 6); // one camera
     photograph(g);
     assert_int_equal(calibrate(g, &o), OK);
     covariance_deviations(o.covariance[0], sd);
     assert_true(fabs(o.lens[0].fx / 900 - 1) < 5e-3 && sd[0] < 1e-9); // only one: the world is it
-    free(g);
+    free_rig(g);
 
     g = new_rig(2, 8, 4); // only frontal boards: the focal length is not determined
     g->frontal = true;
@@ -469,13 +504,13 @@ static void degenerate(void **state)
     photograph(g);
     assert_int_equal(calibrate(g, &o), OK);
     assert_true(o.lens_sd[0][0] > 0.01);
-    free(g);
+    free_rig(g);
 
     g = new_rig(2, 150, 8); // nothing ties them
     photograph(g);
     if (calibrate(g, &o) == OK)
         assert_false(boardcal_tied(&(struct boardcal){.n_cameras = 2}, &o));
-    free(g);
+    free_rig(g);
 }
 
 int main(void)

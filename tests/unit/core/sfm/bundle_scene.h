@@ -12,7 +12,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { SCENE_SIZE = 448, SCENE_VIEWS = 80, SCENE_LENSES = 4 };
+enum { SCENE_SIZE = 448, SCENE_VIEWS = 128, SCENE_LENSES = 4 };
 
 struct scene_rig {
     int n_views, n_points;

@@ -13,12 +13,12 @@ struct setup {
     struct rigcheck_camera found[SCENE_VIEWS];
 };
 
-/* A rig on an arc, 12 degrees apart, whose tracks are half a pixel of noise off. */
+/* A rig on an arc, 12 degrees apart or all around, whose tracks are half a pixel of noise off. */
 static void make(struct setup *s, int n, int points, uint32_t seed)
 {
     s->rig = (struct scene_rig){
         .n_points = points, .focal = 388, .noise = 0.5, .wrong = 0.1, .reach = 40, .seed = seed};
-    scene_arc(&s->rig, n, 12 * (n - 1));
+    scene_arc(&s->rig, n, fmin(12 * (n - 1), 357));
     scene_make(&s->rig, &s->tracks);
 }
 
@@ -137,6 +137,26 @@ static void far_moves(void **state)
     scene_free(&s.tracks);
 }
 
+/* Those that moved are named, and no other. */
+static void a_hundred_cameras(void **state)
+{
+    static const int moved[] = {3, 77, 99};
+    static struct setup s;
+    struct camera cams[SCENE_VIEWS];
+    (void)state;
+    make(&s, 100, 3000, 5);
+    memcpy(cams, s.rig.cams, sizeof cams);
+    for (int k = 0; k < 3; k++)
+        misplace(&cams[moved[k]], 0.5, 0);
+    assert_int_equal(check(&s, cams, 2), OK);
+    assert_int_equal(count_moved(&s), 3);
+    for (int k = 0; k < 3; k++)
+        assert_true(s.found[moved[k]].moved);
+    for (int i = 0; i < 100; i++)
+        assert_true(s.found[i].known);
+    scene_free(&s.tracks);
+}
+
 /* Few points, or none, tell nothing; two cameras are refused. */
 static void too_little(void **state)
 {
@@ -162,6 +182,7 @@ int main(void)
         cmocka_unit_test(still_cameras_are_not_accused),
         cmocka_unit_test(turned_camera_is_named),
         cmocka_unit_test(far_moves),
+        cmocka_unit_test(a_hundred_cameras),
         cmocka_unit_test(too_little),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);

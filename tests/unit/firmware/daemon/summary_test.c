@@ -69,10 +69,10 @@ static void pictures(void **state)
     read_take(2, 3, &s);
     assert_int_equal(s.n_images, 2);
     assert_string_equal(s.image[1], "train_01_01.jpg");
-    read_take(64, 9, &s);
-    assert_int_equal(s.n_images, 64);
-    assert_string_equal(s.image[63], "train_63_04.jpg");
-    read_take(70, 1, &s);
+    read_take(128, 9, &s);
+    assert_int_equal(s.n_images, 128);
+    assert_string_equal(s.image[127], "train_127_04.jpg");
+    read_take(140, 1, &s);
     assert_int_equal(s.n_images, SUMMARY_IMAGES);
     read_take(0, 1, &s);
     assert_int_equal(s.n_images, 0);

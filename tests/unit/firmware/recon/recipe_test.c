@@ -252,11 +252,30 @@ static void cameras_alone(void **state)
         }
 }
 
+/* Whether the cameras are where the calibration has them. */
+static void rigs_are_checked(void **state)
+{
+    static const int sizes[] = {2, 3, 100, 128, 129};
+    static struct shot many[129];
+    const struct job_config cfg = config('-', "s");
+    (void)state;
+    for (int i = 0; i < 129; i++)
+        many[i] = (struct shot){.exposure = 1, .has_camera = true, .calibrated = true};
+    for (int i = 0; i < 5; i++) {
+        const struct capture c = {sizes[i], many};
+        assert_int_equal(recipe_choose(&c, &cfg, false).check, i > 0 && i < 4);
+    }
+    many[99].calibrated = false;
+    assert_false(recipe_choose(&(struct capture){100, many}, &cfg, false).check);
+}
+
 int main(void)
 {
-    const struct CMUnitTest tests[] = {cmocka_unit_test(every_combination),
+    const struct CMUnitTest tests[] = {cmocka_unit_test(rigs_are_checked),
+                                       cmocka_unit_test(every_combination),
                                        cmocka_unit_test(what_always_holds),
                                        cmocka_unit_test(no_more_gaussians_than_pixels),
-                                       cmocka_unit_test(sizes), cmocka_unit_test(cameras_alone)};
+                                       cmocka_unit_test(sizes),
+                                       cmocka_unit_test(cameras_alone)};
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

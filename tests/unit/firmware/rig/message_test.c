@@ -160,7 +160,7 @@ static void fill_order(int members)
                                    .red = 1.9375f,
                                    .blue = 1.1f};
     for (int i = 0; i < members; i++) {
-        snprintf(order.member[i], TAKE_MEMBER_CAP, "%.28s-%02d", FULL_NAME, i);
+        snprintf(order.member[i], TAKE_MEMBER_CAP, "%.27s-%03d", FULL_NAME, i);
         order.turn[i] = 16 * i;
     }
     for (int i = 0; i < TIMES; i++)
@@ -243,6 +243,15 @@ static void largest_fit(void **state)
     struct message_member back;
     expect_ok(message_read_member(text, strlen(text), &back));
     assert_int_equal(strlen(back.sentence), 3 * 85); // U+FFFD, whole
+    free(text);
+    fill_order(128);
+    text = written(&order_kind, &order);
+    struct message_order all;
+    expect_ok(message_read_order(text, strlen(text), &all));
+    assert_int_equal(all.n, 128);
+    assert_int_equal(strlen(all.member[127]), TAKE_MEMBER_CAP - 1);
+    assert_int_equal(message_find(&all, order.member[127]), 127);
+    assert_true(strlen(text) < MESSAGE_MAX / 2);
     free(text);
 }
 

@@ -167,9 +167,10 @@ static void test_orders_that_come_again(void **state)
 
 static void test_press_becomes_a_take(void **state)
 {
+    static const int members[] = {1, 4, 16, 100, 128};
     (void)state;
-    for (int n = 1; n <= MESSAGE_MEMBERS; n *= 4) {
-        struct world *w = ready_world(n, 7);
+    for (int i = 0; i < 5; i++) {
+        struct world *w = ready_world(members[i], 7);
         assert_true(world_press(w));
         assert_false(world_press(w));
         assert_non_null(strstr(err_text(), "a capture runs"));
@@ -212,6 +213,11 @@ static void test_presses_that_are_refused(void **state)
     refused(w, "board-01 runs hdrig 2, the conductor 1");
     w->set.bracket_skew_ms = 0;
     world_run(w, 5);
+    w->node[1].said.cameras = 126;
+    assert_int_equal(leader_event(w, ev), OK);
+    refused(w, "the rig has 129 cameras, at most 128 are possible");
+    w->node[1].said.cameras = 125;
+    assert_int_equal(leader_event(w, ev), OK);
     assert_true(world_press(w));
     finish(w);
     world_close(w);
@@ -573,7 +579,7 @@ static void test_faults(void **state)
         {1, 16, 600, some, false, 0}, {2, 16, 500, some, false, 100},
         {3, 4, 500, many, false, 0},  {4, 16, 300, some, true, 100},
         {5, 4, 300, many, true, 0},   {6, 2, 300, many, false, 100},
-        {7, 64, 60, some, true, 0},
+        {7, 100, 30, some, true, 0},
     };
     long presses = 0, kills = 0;
     (void)state;

@@ -327,15 +327,16 @@ static void sixteen_boards(void **state)
     store_close(s);
 }
 
-/* 64 cameras of 9 exposures: a manifest of that size can be read. */
+/* 128 cameras of 9 exposures: a manifest of that size can be read, and such a take removed. */
 static void the_largest_rig(void **state)
 {
     (void)state;
-    char id[STORE_ID_CAP], part[4][FILE_PATH_CAP];
-    struct store *s = open_in(folder, 0);
+    char id[STORE_ID_CAP], part[8][FILE_PATH_CAP];
+    struct store *s = open_in(folder, 1);
     struct stat st;
+    char first[FILE_PATH_CAP];
     begin(s, id);
-    for (int i = 0; i < 4; i++) {
+    for (int i = 0; i < 8; i++) {
         struct take *t = small_part(16, 9, CAMERA_MJPG, id, names[i]);
         for (int c = 0; c < 16; c++) {
             t->camera[c].has_crf = true;
@@ -347,18 +348,21 @@ static void the_largest_rig(void **state)
         store_part_of(t, part[i]);
         expect_ok(small_rig_fetch(&fs, s, folder, id, names[i], part[i]));
     }
-    expect_ok(join(s, id, 4));
+    expect_ok(join(s, id, 8));
     expect_ok(store_verify(in("", id, "")));
     struct raw_take *raw = read_raw(id);
-    assert_int_equal(raw->n_cameras, 64);
-    assert_int_equal(raw->n, 576);
+    assert_int_equal(raw->n_cameras, 128);
+    assert_int_equal(raw->n, 1152);
     free(raw);
     assert_int_equal(stat(in("", id, MANIFEST_FILE), &st), 0);
-    printf("manifest of 64 cameras: %jd bytes\n", (intmax_t)st.st_size);
+    printf("manifest of 128 cameras: %jd bytes\n", (intmax_t)st.st_size);
+    snprintf(first, sizeof first, "%s", in("", id, ""));
     begin(s, id);
-    for (int i = 0; i < 5; i++)
-        stage(s, small_part(i == 4 ? 1 : 16, 1, CAMERA_MJPG, id, names[i]), id);
-    expect_err(join(s, id, 5), ERR_LIMIT, "65 cameras up to board b4, at most 64");
+    for (int i = 0; i < 9; i++)
+        stage(s, small_part(i == 8 ? 1 : 16, 1, CAMERA_MJPG, id, names[i]), id);
+    expect_err(join(s, id, 9), ERR_LIMIT, "129 cameras up to board b8, at most 128");
+    expect_ok(join(s, id, 8));
+    assert_false(file_exists(first)); // store.keep is 1
     store_close(s);
 }
 

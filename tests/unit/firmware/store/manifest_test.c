@@ -84,14 +84,22 @@ static void lens(void **state)
     free(text);
 }
 
-/* Replace the first `from` in a manifest and parse it. */
-static void with(const char *text, const char *from, const char *to, const char *words)
+/* The manifest with the first `from` replaced. own: free. */
+static char *replaced(const char *text, const char *from, const char *to)
 {
-    static struct manifest m;
     const char *at = strstr(text, from);
     char *changed = malloc(strlen(text) + strlen(to) + 1);
     assert_non_null(at);
+    assert_non_null(changed);
     sprintf(changed, "%.*s%s%s", (int)(at - text), text, to, at + strlen(from));
+    return changed;
+}
+
+/* So changed it is refused. */
+static void with(const char *text, const char *from, const char *to, const char *words)
+{
+    static struct manifest m;
+    char *changed = replaced(text, from, to);
     expect_err(manifest_parse("m", changed, strlen(changed), &m), ERR_FORMAT, words);
     assert_true(m.n == 0 && !m.id[0]);
     free(changed);
@@ -134,7 +142,7 @@ static void hostile_manifests(void **state)
     char many[32 * 1024] = "\"files\": [";
     for (int i = 0; i <= MANIFEST_FILES_MAX; i++)
         strcat(many, "{}, ");
-    with(text, "\"files\": [", many, "not a list of at most 1793");
+    with(text, "\"files\": [", many, "not a list of at most 3585");
     for (size_t n = 0; n + 2 < strlen(text); n++) // cut short anywhere
         if (manifest_parse("m", text, n, &m) != ERR_FORMAT)
             fail_msg("%zu of %zu bytes are a manifest", n, strlen(text));
@@ -182,10 +190,10 @@ static void rigs(void **state)
     const char *id = strstr(text, "\"id\": \"") + 6;
     char joint[512];
     static const char *const lists[][2] = {
-        {"[], \"missing\": []", "lists of 1 to 64 members"},
+        {"[], \"missing\": []", "lists of 1 to 128 members"},
         {"[{}], \"missing\": []", "has no key \"name\""},
         {"[7], \"missing\": []", "is not an object"},
-        {"7, \"missing\": []", "lists of 1 to 64 members"},
+        {"7, \"missing\": []", "lists of 1 to 128 members"},
         {"[{\"name\": \"\", \"part\": 0, \"boot_id\": 0, \"cameras\": 0, \"clock\": 0, "
          "\"within_ns\": 0}], \"missing\": []",
          "a member of the rig has no name"},
@@ -200,9 +208,58 @@ static void rigs(void **state)
     free(text);
 }
 
+/* JSON of a joint take's rig. own: free. */
+static char *rig_of(const char *id, int members, int missing)
+{
+    char *text;
+    size_t n;
+    FILE *f = open_memstream(&text, &n);
+    assert_non_null(f);
+    fprintf(f, "{\"take\": \"%s\", \"members\": [", id);
+    for (int i = 0; i < members; i++)
+        fprintf(f,
+                "%s{\"name\": \"b%d\", \"part\": \"p\", \"boot_id\": \"b\", \"cameras\": 1, "
+                "\"clock\": \"kernel\", \"within_ns\": \"1\"}",
+                i ? ", " : "", i);
+    fputs("], \"missing\": [", f);
+    for (int i = 0; i < missing; i++)
+        fprintf(f, "%s\"gone-%d\"", i ? ", " : "", i);
+    fputs("]}", f);
+    assert_int_equal(fclose(f), 0);
+    return text;
+}
+
+static void large_rigs(void **state)
+{
+    static const int sizes[][2] = {{100, 0}, {128, 0}, {1, 128}, {129, 0}, {1, 129}};
+    static struct manifest m;
+    (void)state;
+    struct take *t = small_take(1, 1, CAMERA_GREY16);
+    t->rig = (struct take_rig){"0123abcd-000042", "left-arm", "kernel"};
+    char *text = manifest_of(t), id[MANIFEST_ID_CAP];
+    expect_ok(manifest_parse("m", text, strlen(text), &m));
+    memcpy(id, m.id, sizeof id);
+    for (int i = 0; i < 5; i++) {
+        static const char part[] =
+            "{\"take\": \"0123abcd-000042\", \"member\": \"left-arm\", \"clock\": \"kernel\"}";
+        char *rig = rig_of(id, sizes[i][0], sizes[i][1]);
+        char *joint = replaced(text, part, rig);
+        if (i < 3) {
+            expect_ok(manifest_parse("m", joint, strlen(joint), &m));
+            assert_int_equal(m.members, sizes[i][0]);
+        } else {
+            with(text, part, rig, "its rig needs lists of 1 to 128 members and missing ones");
+        }
+        free(joint);
+        free(rig);
+    }
+    free(text);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
+        cmocka_unit_test_setup_teardown(large_rigs, tmpdir_setup, tmpdir_teardown),
         cmocka_unit_test_setup_teardown(rigs, tmpdir_setup, tmpdir_teardown),
         cmocka_unit_test_setup_teardown(gains, tmpdir_setup, tmpdir_teardown),
         cmocka_unit_test_setup_teardown(lens, tmpdir_setup, tmpdir_teardown),
