@@ -1,5 +1,6 @@
 /* Of the cameras that do not fit, the one without which the others agree best has moved; it is
- * taken out, and the rest is checked again. */
+ * taken out, and the rest is checked again. Points that a camera does not see are the same without
+ * it: of each camera only its own tracks are placed again. */
 #include "core/sfm/rigcheck.h"
 
 #include "core/base/lin.h"
@@ -19,23 +20,38 @@ static const double RAYLEIGH = 1.17741002; // median length of a vector of unit 
 
 struct check {
     const struct run *r;
-    struct adjust a;
-    struct adjust_observation *obs; // (tracks->n) of a
-    int *first;                     // (n_tracks + 1) of a
-    int *lens_of;                   // (n) of a
-    int *at;                        // (n_tracks) observations of the view at work
+    struct adjust a, own; // all tracks, and those of the view at work
+    struct tracks {
+        struct adjust_observation *obs; // (tracks->n)
+        int *first;                     // (n_tracks + 1)
+    } all, mine;                        // of a and own
+    int used, in;                       // observations of all cameras, and those that agree
+    int *lens_of;                       // (n) of a
+    int *at;                            // (n_tracks) observations of the view at work in own
     int n_at;
     float *sorted; // (n_tracks)
     bool *gone;    // (n) has moved, and counts no more
     double agreed; // share of the other observations that agree without it
 };
 
+static err_t layout_tracks(struct arena *tmp, const struct match_tracks *t, struct tracks *list,
+                           struct adjust *a)
+{
+    const size_t n = (size_t)t->n, tracks = (size_t)t->n_tracks;
+    err_t e = arena_alloc(tmp, n, sizeof *list->obs, &list->obs);
+    if (!e)
+        e = arena_zalloc(tmp, tracks + 1, sizeof *list->first, &list->first);
+    if (!e)
+        e = arena_zalloc(tmp, 4 * tracks, sizeof *a->point, &a->point);
+    return e ? e : arena_zalloc(tmp, n, sizeof *a->in, &a->in);
+}
+
 static err_t layout(struct check *c, struct arena *tmp, int n_views, const struct match_tracks *t)
 {
-    const size_t n = (size_t)t->n, v = (size_t)n_views, tracks = (size_t)t->n_tracks;
-    err_t e = arena_alloc(tmp, n, sizeof *c->obs, &c->obs);
+    const size_t v = (size_t)n_views, tracks = (size_t)t->n_tracks;
+    err_t e = layout_tracks(tmp, t, &c->all, &c->a);
     if (!e)
-        e = arena_zalloc(tmp, tracks + 1, sizeof *c->first, &c->first);
+        e = layout_tracks(tmp, t, &c->mine, &c->own);
     if (!e)
         e = arena_alloc(tmp, tracks, sizeof *c->at, &c->at);
     if (!e)
@@ -48,11 +64,7 @@ static err_t layout(struct check *c, struct arena *tmp, int n_views, const struc
         e = arena_zalloc(tmp, v, sizeof *c->a.lens, &c->a.lens);
     if (!e)
         e = arena_zalloc(tmp, v * ADJUST_POSE, sizeof *c->a.pose, &c->a.pose);
-    if (!e)
-        e = arena_zalloc(tmp, v, sizeof *c->a.placed, &c->a.placed);
-    if (!e)
-        e = arena_zalloc(tmp, 4 * tracks, sizeof *c->a.point, &c->a.point);
-    return e ? e : arena_zalloc(tmp, n, sizeof *c->a.in, &c->a.in);
+    return e ? e : arena_zalloc(tmp, v, sizeof *c->a.placed, &c->a.placed);
 }
 
 void rigcheck_plan(struct plan *p, int n_views, const struct match_tracks *t)
@@ -81,45 +93,82 @@ static err_t set_up(struct check *c, int n, const struct match_tracks *t, const 
     for (int i = 0; i < t->n; i++) {
         const struct match_observation *s = &t->obs[i];
         const struct camera *cam = &cams[s->view];
-        c->obs[i] = (struct adjust_observation){
+        c->all.obs[i] = (struct adjust_observation){
             s->u - cam->cx, (s->v - cam->cy) * cam->fx / cam->fy, 1 / s->sigma, s->view};
-        c->first[s->track + 1]++;
+        c->all.first[s->track + 1]++;
     }
     for (int i = 0; i < t->n_tracks; i++)
-        c->first[i + 1] += c->first[i];
+        c->all.first[i + 1] += c->all.first[i];
     a->n_views = a->n_lenses = n;
     a->n_tracks = t->n_tracks;
-    a->first = c->first;
-    a->obs = c->obs;
+    a->first = c->all.first;
+    a->obs = c->all.obs;
     a->lens_of = c->lens_of;
+    struct adjust own = *a;
+    own.first = c->mine.first;
+    own.obs = c->mine.obs;
+    own.point = c->own.point;
+    own.in = c->own.in;
+    c->own = own;
     return e;
 }
 
 /* ---- one camera ---- */
 
-/* Place points without the view; note its observations of them, and how far the others agree. */
+/* Observations of placed views, and those that agree, `sign` times. */
+static void count_tracks(const struct adjust *a, int sign, int *used, int *in)
+{
+    for (int t = 0; t < a->n_tracks; t++) {
+        int n = 0;
+        for (int i = a->first[t]; i < a->first[t + 1]; i++) {
+            n += a->placed[a->obs[i].view];
+            *in += sign * a->in[i];
+        }
+        *used += n > 1 ? sign * n : 0;
+    }
+}
+
+static void copy_track(const struct adjust *a, int track, struct check *c)
+{
+    struct adjust *own = &c->own;
+    int n = c->mine.first[own->n_tracks];
+    memcpy(own->point + 4 * (size_t)own->n_tracks, a->point + 4 * (size_t)track,
+           4 * sizeof *own->point);
+    for (int i = a->first[track]; i < a->first[track + 1]; i++, n++) {
+        c->mine.obs[n] = a->obs[i];
+        own->in[n] = a->in[i];
+    }
+    c->mine.first[++own->n_tracks] = n;
+}
+
+/* Place the points of the view without it; note its observations of them, and how far the others
+ * agree. */
 static err_t place_without(struct check *c, int view)
 {
-    struct adjust *a = &c->a;
-    int used = 0, in = 0;
-    a->placed[view] = false;
-    err_t e = triangulate_points(c->r, a, GATE);
-    a->placed[view] = true;
-    c->n_at = 0;
-    for (int t = 0; t < a->n_tracks && !e; t++) {
-        int n = 0, agree = 0, at = -1;
-        for (int i = a->first[t]; i < a->first[t + 1]; i++) {
-            n += a->placed[a->obs[i].view] && a->obs[i].view != view;
-            agree += a->in[i];
-            at = a->obs[i].view == view ? i : at;
+    const struct adjust *a = &c->a;
+    struct adjust *own = &c->own;
+    int used = c->used, in = c->in;
+    own->n_tracks = c->n_at = 0;
+    for (int t = 0; t < a->n_tracks; t++)
+        for (int i = a->first[t]; i < a->first[t + 1]; i++)
+            if (a->obs[i].view == view)
+                copy_track(a, t, c);
+    count_tracks(own, -1, &used, &in);
+    own->placed[view] = false;
+    err_t e = triangulate_points(c->r, own, GATE);
+    count_tracks(own, 1, &used, &in);
+    own->placed[view] = true;
+    for (int t = 0; t < own->n_tracks && !e; t++) {
+        int agree = 0, at = -1;
+        for (int i = own->first[t]; i < own->first[t + 1]; i++) {
+            agree += own->in[i];
+            at = own->obs[i].view == view ? i : at;
         }
-        used += n > 1 ? n : 0;
-        in += agree;
-        if (agree > 1 && at >= 0) {
-            c->at[c->n_at++] = at;
-            memmove(a->point + 4 * (size_t)(c->n_at - 1), a->point + 4 * (size_t)t,
-                    4 * sizeof *a->point); // points of earlier tracks are not needed again
-        }
+        if (agree < 2)
+            continue;
+        c->at[c->n_at++] = at;
+        memmove(own->point + 4 * (size_t)(c->n_at - 1), own->point + 4 * (size_t)t,
+                4 * sizeof *own->point); // points of earlier tracks are not needed again
     }
     c->agreed = used > 0 ? (double)in / used : 0;
     return e;
@@ -127,7 +176,7 @@ static err_t place_without(struct check *c, int view)
 
 static const double *point_of(const struct check *c, int k)
 {
-    return c->a.point + 4 * (size_t)k;
+    return c->own.point + 4 * (size_t)k;
 }
 
 /* Median error of the observations at the present pose, expected errors; those without pixel are
@@ -135,7 +184,7 @@ static const double *point_of(const struct check *c, int k)
 static double median_error(const struct check *c)
 {
     for (int k = 0; k < c->n_at; k++)
-        c->sorted[k] = (float)sqrt(adjust_error(&c->a, point_of(c, k), &c->a.obs[c->at[k]]));
+        c->sorted[k] = (float)sqrt(adjust_error(&c->own, point_of(c, k), &c->own.obs[c->at[k]]));
     return (double)num_median(c->sorted, (size_t)c->n_at);
 }
 
@@ -147,7 +196,7 @@ static bool normal_equations(struct check *c, double kernel, double h[TWIST * TW
     memset(g, 0, TWIST * sizeof *g);
     for (int k = 0; k < c->n_at; k++) {
         struct adjust_jacobian j;
-        if (!adjust_jacobian(&c->a, point_of(c, k), &c->a.obs[c->at[k]], &j))
+        if (!adjust_jacobian(&c->own, point_of(c, k), &c->own.obs[c->at[k]], &j))
             continue;
         const double e2 = j.error[0] * j.error[0] + j.error[1] * j.error[1];
         const double w = 1 / (1 + e2 / (kernel * kernel));
@@ -220,18 +269,18 @@ static double angle_between(const double a[ADJUST_POSE], const double b[ADJUST_P
     return sqrt(lin_dot(w, w)) * 180 / NUM_PI;
 }
 
-/* Compare the pose `now`, of these standard errors, with that of the rig, which a->pose has. */
+/* Compare the pose `now`, of these standard errors, with that of the rig, which own.pose has. */
 static void compare_poses(struct check *c, int view, const double now[ADJUST_POSE],
                           const double deviation[2], struct rigcheck_camera *out)
 {
-    double *pose = c->a.pose + (size_t)ADJUST_POSE * (size_t)view, was[ADJUST_POSE];
+    double *pose = c->own.pose + (size_t)ADJUST_POSE * (size_t)view, was[ADJUST_POSE];
     struct adjust_jacobian a, b;
     memcpy(was, pose, sizeof was);
     for (int k = 0; k < c->n_at; k++) {
-        const struct adjust_observation *s = &c->a.obs[c->at[k]];
-        const bool before = adjust_jacobian(&c->a, point_of(c, k), s, &a);
+        const struct adjust_observation *s = &c->own.obs[c->at[k]];
+        const bool before = adjust_jacobian(&c->own, point_of(c, k), s, &a);
         memcpy(pose, now, sizeof was);
-        const bool after = adjust_jacobian(&c->a, point_of(c, k), s, &b);
+        const bool after = adjust_jacobian(&c->own, point_of(c, k), s, &b);
         memcpy(pose, was, sizeof was);
         c->sorted[k] = 1e6f;
         if (before && after)
@@ -240,7 +289,7 @@ static void compare_poses(struct check *c, int view, const double now[ADJUST_POS
     }
     out->off_px = num_median(c->sorted, (size_t)c->n_at);
     for (int k = 0; k < c->n_at; k++)
-        c->sorted[k] = (float)adjust_depth(&c->a, view, point_of(c, k));
+        c->sorted[k] = (float)adjust_depth(&c->own, view, point_of(c, k));
     const double depth = fmax((double)num_median(c->sorted, (size_t)c->n_at), 1e-12);
     out->turned_deg = (float)angle_between(was, now);
     out->turned_sd_deg = (float)(deviation[0] * 180 / NUM_PI);
@@ -252,8 +301,8 @@ static void compare_poses(struct check *c, int view, const double now[ADJUST_POS
 static double observed_sigma(struct check *c)
 {
     for (int k = 0; k < c->n_at; k++) {
-        const struct adjust_observation *s = &c->a.obs[c->at[k]];
-        c->sorted[k] = (float)(sqrt(adjust_error(&c->a, point_of(c, k), s)) / (double)s->weight);
+        const struct adjust_observation *s = &c->own.obs[c->at[k]];
+        c->sorted[k] = (float)(sqrt(adjust_error(&c->own, point_of(c, k), s)) / (double)s->weight);
     }
     return (double)num_median(c->sorted, (size_t)c->n_at) / RAYLEIGH;
 }
@@ -272,7 +321,7 @@ static void set_pose(const double pose[ADJUST_POSE], struct camera *cam)
 static err_t check_camera(struct check *c, const struct views *v, int view,
                           struct rigcheck_camera *out)
 {
-    double *pose = c->a.pose + (size_t)ADJUST_POSE * (size_t)view, was[ADJUST_POSE],
+    double *pose = c->own.pose + (size_t)ADJUST_POSE * (size_t)view, was[ADJUST_POSE],
            now[ADJUST_POSE], deviation[2];
     err_t e = place_without(c, view);
     out->seen = c->n_at;
@@ -300,8 +349,10 @@ static err_t find_moved(struct check *c, const struct views *v, struct rigcheck_
                         int *worst)
 {
     double best = -1;
-    err_t e = OK;
+    err_t e = triangulate_points(c->r, &c->a, GATE);
     *worst = -1;
+    c->used = c->in = 0;
+    count_tracks(&c->a, 1, &c->used, &c->in);
     for (int i = 0; i < v->n && !e; i++) {
         if (c->gone[i])
             continue;

@@ -10,7 +10,7 @@ MORE=${MORE-}       # options of the cameras
 LINK=${LINK-}       # netem of each board's link; where the kernel has none, tbf with RATE alone
 RATE=${RATE:-1gbit}
 link=
-BASE=$((10000 + $$ % 280 * 80)) # below those that the kernel gives away
+BASE=$((10000 + $$ % 160 * 140)) # below those that the kernel gives away
 tag=hd$$
 declare -A pid port address
 
