@@ -135,7 +135,7 @@ struct camera_ops {
     MUST_USE err_t (*request)(void *st, const struct exposure *requested, struct exposure *set);
 
     /* Lengthen one coming frame, once, by `seconds` (0..period), so that later frames start that
-     * much later. NULL: the device cannot.
+     * much later; 0 s asks whether that is possible. NULL: the device cannot.
      * out:  *shift: what was set, rounded to its steps.
      * err:  ERR_UNSUPPORTED, ERR_BUSY (later), ERR_IO, ERR_LOST. On error nothing is changed. */
     MUST_USE err_t (*shift)(void *st, double seconds, double *shift);

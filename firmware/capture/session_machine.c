@@ -28,6 +28,14 @@ err_t session_machine_name(const struct cam *c, err_t e)
     return err_fail(e, "%s: %s", c->about.uri, err_text());
 }
 
+/* Asked before the first order: one that comes too late to try it would leave it open, and all
+ * later ones would be given the time to. */
+static bool is_fixed(const struct cam *c)
+{
+    double set_s;
+    return !c->ops->shift || c->ops->shift(c->st, 0.0, &set_s) == ERR_UNSUPPORTED;
+}
+
 err_t session_machine_open(struct session *s, int i)
 {
     struct cam *c = &s->cam[i];
@@ -38,7 +46,7 @@ err_t session_machine_open(struct session *s, int i)
         return session_machine_name(c, e);
     c->ops->info(c->st, &info);
     c->open = true;
-    c->starts.fixed = false;
+    c->starts.fixed = is_fixed(c);
     session_start_forget(c);
     c->view = (struct session_view){.present = true};
     c->about.info = info;

@@ -191,7 +191,7 @@ static double best_moment(const struct frame_line *l, int n)
 
 static bool can_shift(const struct cam *c)
 {
-    return c->ops->shift && !c->starts.fixed;
+    return !c->starts.fixed;
 }
 
 double session_start_lead_s(const struct session *s)

@@ -191,6 +191,20 @@ static void asks_for_time(void **state)
     assert_true(session_lead_s(s) < 12 / 30.0);
 }
 
+/* Whether frames can be lengthened is known without an order that leaves time to try it. */
+static void little_time(void **state)
+{
+    (void)state;
+    open_rig(1, "shift=no,delay=2");
+    for (int i = 0; i < 3; i++) {
+        struct session_order o = {
+            .mode = SESSION_LIST, .n = 3, .ev = {-2, 0, 2}, .middle_s = 0.002};
+        o.start_ns = session_machine_now(s) + (int64_t)(20 * PERIOD_NS);
+        take_free(run_take(&o));
+    }
+    assert_true(session_lead_s(s) < 12 / 30.0);
+}
+
 static void aligned(void **state)
 {
     (void)state;
@@ -290,6 +304,7 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test_setup_teardown(follows_at_once, set_up, tear_down),
         cmocka_unit_test_setup_teardown(asks_for_time, set_up, tear_down),
+        cmocka_unit_test_setup_teardown(little_time, set_up, tear_down),
         cmocka_unit_test_setup_teardown(within_half_a_frame, set_up, tear_down),
         cmocka_unit_test_setup_teardown(aligned, set_up, tear_down),
         cmocka_unit_test_setup_teardown(aligned_with_wobble, set_up, tear_down),
