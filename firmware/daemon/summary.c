@@ -34,18 +34,20 @@ static void read_meter(const struct cJSON *meter, struct summary *s)
 static void read_images(const struct cJSON *files, struct summary *s)
 {
     const int middle = s->cameras > 0 ? (s->frames / s->cameras - 1) / 2 : 0;
+    static const char folder[] = "images/";
     int last = -1;
     for (const struct cJSON *f = json_first(files); f; f = json_next(f)) {
         const char *name = json_string(json_member(f, "name"));
         int camera, index;
-        if (!name || sscanf(name, "images/train_%3d_%3d.", &camera, &index) != 2)
+        if (!name || strncmp(name, folder, sizeof folder - 1) != 0 ||
+            !manifest_picture_is(name + sizeof folder - 1, &camera, &index))
             continue;
         const bool add = s->cameras == 1 || camera != last;
         if (add && s->n_images == (s->cameras == 1 ? SUMMARY_EXPOSURES : SUMMARY_IMAGES))
             return;
         if (add || index <= middle)
             copy_text(s->image[add ? s->n_images++ : s->n_images - 1], sizeof s->image[0],
-                      name + strlen("images/"));
+                      name + sizeof folder - 1);
         last = camera;
     }
 }

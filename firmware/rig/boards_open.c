@@ -147,16 +147,6 @@ static err_t subscribe(struct boards *b, enum message_topic t, const char *membe
     return mqtt_subscribe(b->mqtt, topic, t == MESSAGE_ASK || t == MESSAGE_TIME ? 0 : 1);
 }
 
-/* The number of a camera in a view's name as takes have it, train_CC_EE; -1: it is none. */
-static int camera_of(const char *name)
-{
-    int camera, exposure;
-    return sscanf(name, "train_%3d_%2d", &camera, &exposure) == 2 && camera >= 0 &&
-                   camera < MESSAGE_MEMBERS
-               ? camera
-               : -1;
-}
-
 static err_t read_views(struct boards *b)
 {
     struct rig rig;
@@ -167,9 +157,9 @@ static err_t read_views(struct boards *b)
         return err_fail(e, "rig.file: %s", err_text());
     for (int i = 0; i < rig.n; i++) {
         const struct camera *cam = &rig.views[i].cam;
-        const int k = camera_of(rig.views[i].name);
+        int k, exposure;
         double centre[3], r[9];
-        if (k < 0)
+        if (!manifest_picture_is(rig.views[i].name, &k, &exposure))
             continue;
         rotation_centre(cam, centre);
         rotation_of_camera(cam, r); // its last row is the axis of the view in the world

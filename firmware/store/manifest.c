@@ -38,6 +38,14 @@ void manifest_picture_name(const struct take *t, const struct take_frame *f,
              manifest_is_jpeg(t, f) ? "jpg" : "png");
 }
 
+bool manifest_picture_is(const char *name, int *camera, int *index)
+{
+    int end = 0;
+    return sscanf(name, "train_%3d_%2d%n", camera, index, &end) == 2 && name[end] == '.' &&
+           *camera >= 0 && *camera < MANIFEST_CAMERAS_MAX && *index >= 0 &&
+           *index < BRACKET_EXPOSURES_MAX;
+}
+
 void manifest_mask_name(const struct take_frame *f, char out[MANIFEST_NAME_CAP])
 {
     snprintf(out, MANIFEST_NAME_CAP, "masks/train_%02d_%02d.png", f->camera, f->index);

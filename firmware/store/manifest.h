@@ -51,6 +51,9 @@ void manifest_raw_name(const struct take *t, const struct take_frame *f,
 void manifest_picture_name(const struct take *t, const struct take_frame *f,
                            char out[MANIFEST_NAME_CAP]);
 
+/* Camera and exposure of a display picture, by its name without the folder. False: it has none. */
+bool manifest_picture_is(const char *name, int *camera, int *index);
+
 void manifest_mask_name(const struct take_frame *f, char out[MANIFEST_NAME_CAP]);
 
 /* Whether the driver's bytes are the display picture as well. */

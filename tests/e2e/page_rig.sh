@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# The rig of several boards on the status page, on a telephone and with 64 boards: the daemon has
+# The rig of several boards on the status page, on a telephone and with 128 boards: the daemon has
 # none, the page is told of one.
 . tests/e2e/common.bash
 . tests/e2e/browser.bash
@@ -116,17 +116,17 @@ wait_for "$(text '#rig-state')" 'left waits for a conductor'
 is "document.getElementById('boards').hidden" true
 is "document.getElementById('capture').disabled" true
 
-# 64 boards, on a telephone and on a desk
-run "pretend(rigOf(64))"
-wait_for "document.querySelectorAll('#boards-rows tr').length" 64
+# 128 boards, on a telephone and on a desk
+run "pretend(rigOf(128))"
+wait_for "document.querySelectorAll('#boards-rows tr').length" 128
 is "document.querySelectorAll('#rig-missing li').length" 6
 fits 360
-screenshot "$OUT/phone64.png"
+screenshot "$OUT/phone128.png"
 call Emulation.setDeviceMetricsOverride \
     '{"width":1200,"height":900,"deviceScaleFactor":1,"mobile":false}'
 fits 1200
-screenshot "$OUT/desk64.png"
-accessible "64 boards"
+screenshot "$OUT/desk128.png"
+accessible "128 boards"
 is "document.getElementById('message').matches('.kept, :empty')" true
 
 kill -TERM $daemon

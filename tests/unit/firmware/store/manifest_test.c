@@ -208,6 +208,27 @@ static void rigs(void **state)
     free(text);
 }
 
+static void picture_names(void **state)
+{
+    static const char *const bad[] = {
+        "train_00_00",    "train_1_.png",     "train_128_00.png", "train_-1_00.png",
+        "train_00_9.png", "train_00_000.png", "test_00_00.png",   ""};
+    (void)state;
+    for (int camera = 0; camera < 128; camera += 9)
+        for (int index = 0; index < 9; index++) {
+            char name[MANIFEST_NAME_CAP];
+            int back[2];
+            snprintf(name, sizeof name, "train_%02d_%02d.png", camera, index);
+            assert_true(manifest_picture_is(name, &back[0], &back[1]));
+            assert_true(back[0] == camera && back[1] == index);
+        }
+    for (size_t i = 0; i < sizeof bad / sizeof bad[0]; i++) {
+        int camera, index;
+        if (manifest_picture_is(bad[i], &camera, &index))
+            fail_msg("%s is a picture's name", bad[i]);
+    }
+}
+
 /* JSON of a joint take's rig. own: free. */
 static char *rig_of(const char *id, int members, int missing)
 {
@@ -259,6 +280,7 @@ static void large_rigs(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
+        cmocka_unit_test(picture_names),
         cmocka_unit_test_setup_teardown(large_rigs, tmpdir_setup, tmpdir_teardown),
         cmocka_unit_test_setup_teardown(rigs, tmpdir_setup, tmpdir_teardown),
         cmocka_unit_test_setup_teardown(gains, tmpdir_setup, tmpdir_teardown),
