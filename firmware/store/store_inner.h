@@ -1,5 +1,5 @@
-/* store_inner.h - what the files of the store share: store.c, store_check.c, store_files.c,
- * store_keep.c, and joint.c, which makes one take of many. */
+/* store_inner.h - what the files of the store share: store.c, store_commit.c, store_check.c,
+ * store_files.c, store_keep.c, and joint.c, which makes one take of many. */
 #ifndef STORE_STORE_INNER_H
 #define STORE_STORE_INNER_H
 
@@ -13,6 +13,7 @@
 #include <pthread.h>
 
 #define STORE_TMP ".tmp-"
+#define STORE_ABORTED "aborted-"
 #define STORE_RIG ".rig-" // staging folder of a joint take
 #define STORE_RIG_ORDER "order.json"
 #define STORE_RIG_BOOT "boot_id"
@@ -56,6 +57,10 @@ int store_list_prefix(const char *path, const char *prefix, char (*ids)[STORE_ID
  * out:  id of the rig's take and name of the board, if it is. */
 bool store_is_part(const struct store_fs *fs, const char *path, const char *id,
                    char take[MANIFEST_ID_CAP], char member[TAKE_MEMBER_CAP]);
+
+/* The next number, which is on the disk before it is used, and the id of a take with it; durable
+ * when the folder of the store is synced. On error id is "". */
+MUST_USE err_t store_next(struct store *s, uint64_t *number, char id[STORE_ID_CAP]);
 
 /* A take being written, under a temporary name until it is shown. */
 struct store_new {
