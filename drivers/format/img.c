@@ -240,6 +240,8 @@ static err_t make_upright(int orientation, const char *name, struct image8 *io)
 {
     const bool swap = orientation >= 5;
     struct image8 out = {0};
+    if (orientation == 1)
+        return OK;
     err_t e =
         alloc_px(name, (uint32_t)(swap ? io->h : io->w), (uint32_t)(swap ? io->w : io->h), &out);
     if (e)
@@ -248,6 +250,46 @@ static err_t make_upright(int orientation, const char *name, struct image8 *io)
     img_free(io);
     *io = out;
     return OK;
+}
+
+/* The least size that the decoder has whose longer side is at least `edge` px. */
+static void scale_down(int edge, struct image8 *io)
+{
+    int n;
+    const tjscalingfactor *f = tjGetScalingFactors(&n);
+    const int w = io->w, h = io->h;
+    for (int i = 0; f && i < n; i++) {
+        const int x = TJSCALED(w, f[i]), y = TJSCALED(h, f[i]);
+        if ((x >= edge || y >= edge) && x <= io->w && y <= io->h) {
+            io->w = x;
+            io->h = y;
+        }
+    }
+}
+
+err_t img_read_jpeg_small(const void *bytes, size_t n, const char *name, int edge,
+                          struct image8 *out)
+{
+    struct image8 size = {0};
+    memset(out, 0, sizeof *out);
+    if (!is_jpeg(bytes, n))
+        return err_fail(ERR_FORMAT, "%s: does not begin as a JPEG does", name);
+    tjhandle tj = tjInitDecompress();
+    if (!tj)
+        return err_fail(ERR_NOMEM, "%s: no memory for the JPEG decoder", name);
+    err_t e = jpeg_head(tj, bytes, n, name, &size);
+    if (!e) {
+        scale_down(edge, &size);
+        e = alloc_px(name, (uint32_t)size.w, (uint32_t)size.h, out);
+    }
+    if (!e)
+        e = jpeg_pixels(tj, bytes, n, name, out);
+    tjDestroy(tj);
+    if (!e)
+        e = make_upright(img_orientation(bytes, n), name, out);
+    if (e)
+        img_free(out);
+    return e;
 }
 
 err_t img_read_mem(const void *bytes, size_t n, const char *name, struct image8 *out)
@@ -260,9 +302,8 @@ err_t img_read_mem(const void *bytes, size_t n, const char *name, struct image8 
         e = read_jpeg(bytes, n, name, out);
     else
         e = err_fail(ERR_FORMAT, "%s: neither PNG nor JPEG", name);
-    const int orientation = e ? 1 : img_orientation(bytes, n);
-    if (orientation != 1)
-        e = make_upright(orientation, name, out);
+    if (!e)
+        e = make_upright(img_orientation(bytes, n), name, out);
     if (e)
         img_free(out);
     return e;

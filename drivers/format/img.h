@@ -39,6 +39,11 @@ MUST_USE err_t img_read_mem(const void *bytes, size_t n, const char *name, struc
 MUST_USE err_t img_decode_jpeg(const void *bytes, size_t n, const char *name,
                                const struct image8 *out);
 
+/* As img_read_mem, of a JPEG, at the least of the decoder's sizes, from an eighth on, whose longer
+ * side is at least `edge` px, or at its own if that is smaller. */
+MUST_USE err_t img_read_jpeg_small(const void *bytes, size_t n, const char *name, int edge,
+                                   struct image8 *out);
+
 /* Accepts a zeroed image. */
 void img_free(struct image8 *im);
 

@@ -1,5 +1,6 @@
 #include "firmware/rig/tasks.h"
 
+#include "core/base/log.h"
 #include "drivers/device/clocks.h"
 #include "drivers/format/file.h"
 #include "drivers/format/json.h"
@@ -114,32 +115,54 @@ static err_t read_starts(struct tasks *t, struct task *k)
     return e;
 }
 
+/* Files of a part that are fetched, each with room for two texts: those of the take first, then
+ * thumbnails. */
+struct wanted {
+    struct fetch_item *items;
+    char (*text)[2][FILE_PATH_CAP];
+    int n, n_needed;
+};
+
+static err_t list_wanted(const struct task *k, const char *dir, const struct manifest *m,
+                         struct wanted *w)
+{
+    w->items = calloc((size_t)m->n + 1, sizeof *w->items);
+    w->text = calloc((size_t)m->n + 1, sizeof *w->text);
+    if (!w->items || !w->text)
+        return err_fail(ERR_NOMEM, "%s: no memory for its part", k->member);
+    err_t e = OK;
+    for (int i = 0; !e && i < 2 * m->n; i++) {
+        const struct manifest_file *f = &m->file[i % m->n];
+        char(*text)[FILE_PATH_CAP] = w->text[w->n];
+        if (manifest_is_thumb(f->name) != (i >= m->n))
+            continue;
+        snprintf(text[0], FILE_PATH_CAP, "%s/parts/%s/%s", k->url, k->part.part, f->name);
+        e = file_join(dir, f->name, text[1]);
+        w->items[w->n++] = (struct fetch_item){text[0], text[1], f->bytes, f->sha256};
+        w->n_needed += i < m->n;
+    }
+    return e;
+}
+
 static err_t fetch_listed(struct tasks *t, const struct task *k, const struct fetch_config *cfg)
 {
     struct manifest *m = calloc(1, sizeof *m);
-    struct fetch_item *items = NULL;
-    char(*text)[2][FILE_PATH_CAP] = NULL;
+    struct fetch_config quiet = *cfg;
+    struct wanted w = {0};
     char dir[FILE_PATH_CAP];
+    quiet.progress = NULL;
     err_t e = m ? joint_part_files(t->path, k->take, k->member, m)
                 : err_fail(ERR_NOMEM, "%s: no memory for its part", k->member);
     if (!e)
         e = joint_part_path(t->path, k->take, k->member, dir);
-    if (!e) {
-        items = calloc((size_t)m->n + 1, sizeof *items);
-        text = calloc((size_t)m->n + 1, sizeof *text);
-        if (!items || !text)
-            e = err_fail(ERR_NOMEM, "%s: no memory for its part", k->member);
-    }
-    for (int i = 0; !e && i < m->n; i++) {
-        snprintf(text[i][0], FILE_PATH_CAP, "%s/parts/%s/%s", k->url, k->part.part,
-                 m->file[i].name);
-        e = file_join(dir, m->file[i].name, text[i][1]);
-        items[i] = (struct fetch_item){text[i][0], text[i][1], m->file[i].bytes, m->file[i].sha256};
-    }
     if (!e)
-        e = fetch_files(cfg, items, m->n);
-    free(items);
-    free(text);
+        e = list_wanted(k, dir, m, &w);
+    if (!e)
+        e = fetch_files(cfg, w.items, w.n_needed);
+    if (!e && fetch_files(&quiet, w.items + w.n_needed, w.n - w.n_needed) != OK)
+        log_warn("%s: take %s goes without thumbnails of it: %s", k->member, k->take, err_text());
+    free(w.items);
+    free(w.text);
     free(m);
     return e;
 }

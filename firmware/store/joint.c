@@ -167,6 +167,8 @@ static err_t link_file(struct store *s, const char *from, const char *to, const 
     err_t e = file_join(from, name, a);
     if (!e)
         e = file_join(to, name, b);
+    if (!e && manifest_is_thumb(name) && !file_exists(a))
+        return OK; // it may be missing
     return e || file_exists(b) ? e : store_fs_link(s->fs, a, b, &copied);
 }
 

@@ -162,7 +162,7 @@ static err_t sync_staged(const struct work *w, const char *path)
     return e;
 }
 
-/* Every file is as the manifest says, and on the disk. */
+/* Every file is as the manifest says, and on the disk; a thumbnail that is not is left out. */
 static err_t add_files(struct work *w, int member, const char *dir)
 {
     const struct manifest *m = &w->part.manifest;
@@ -170,6 +170,10 @@ static err_t add_files(struct work *w, int member, const char *dir)
     err_t e = OK;
     for (int i = 0; i < m->n && !e; i++) {
         e = store_check_file(w->s->fs, dir, &m->file[i]);
+        if (e && manifest_is_thumb(m->file[i].name)) {
+            e = OK;
+            continue;
+        }
         if (e || strcmp(m->file[i].name, exposures) == 0)
             continue;
         struct source *from = &w->from[w->m.n];

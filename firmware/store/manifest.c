@@ -12,7 +12,7 @@
 
 enum { VERSION = 1 };
 
-static const char format[] = "hdrig-take";
+static const char format[] = "hdrig-take", thumbs[] = "thumbs/";
 
 /* ---- words ---- */
 
@@ -49,6 +49,16 @@ bool manifest_picture_is(const char *name, int *camera, int *index)
 void manifest_mask_name(const struct take_frame *f, char out[MANIFEST_NAME_CAP])
 {
     snprintf(out, MANIFEST_NAME_CAP, "masks/train_%02d_%02d.png", f->camera, f->index);
+}
+
+void manifest_thumb_name(int camera, int index, char out[MANIFEST_NAME_CAP])
+{
+    snprintf(out, MANIFEST_NAME_CAP, "%strain_%02d_%02d.jpg", thumbs, camera, index);
+}
+
+bool manifest_is_thumb(const char *name)
+{
+    return strncmp(name, thumbs, sizeof thumbs - 1) == 0;
 }
 
 const char *manifest_proof(enum bracket_proof p)
@@ -370,10 +380,10 @@ static bool get_text(const struct cJSON *object, const char *key, const char *al
 
 static err_t check_name(const char *what, const char *name)
 {
-    static const char *const folders[] = {"images/", "masks/", "raw/", "merged/"};
+    static const char *const folders[] = {"images/", "masks/", "raw/", "merged/", thumbs};
     char copy[NAME_CAP];
     size_t skip = 0;
-    for (int i = 0; i < 4; i++)
+    for (size_t i = 0; i < sizeof folders / sizeof folders[0]; i++)
         if (strncmp(name, folders[i], strlen(folders[i])) == 0)
             skip = strlen(folders[i]);
     err_t e = name_copy(what, name + skip, strlen(name + skip), copy);

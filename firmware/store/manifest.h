@@ -19,7 +19,7 @@ enum {
     MANIFEST_NAME_CAP = 64,
     MANIFEST_CAMERAS_MAX = RIG_CAMERAS_MAX, // of a joint take (joint.h), on all its boards
     MANIFEST_FRAMES_MAX = MANIFEST_CAMERAS_MAX * BRACKET_EXPOSURES_MAX,
-    MANIFEST_FILES_MAX = 3 * MANIFEST_FRAMES_MAX + MANIFEST_CAMERAS_MAX + 1,
+    MANIFEST_FILES_MAX = 4 * MANIFEST_FRAMES_MAX + MANIFEST_CAMERAS_MAX + 1,
     MANIFEST_MEMBERS_MAX = MANIFEST_CAMERAS_MAX,
     MANIFEST_ID_CAP = 32,
     MANIFEST_BOOT_CAP = 37 // a boot id of the kernel
@@ -55,6 +55,10 @@ void manifest_picture_name(const struct take *t, const struct take_frame *f,
 bool manifest_picture_is(const char *name, int *camera, int *index);
 
 void manifest_mask_name(const struct take_frame *f, char out[MANIFEST_NAME_CAP]);
+void manifest_thumb_name(int camera, int index, char out[MANIFEST_NAME_CAP]);
+
+/* Whether a file is a thumbnail, which may be missing or damaged: pages show the picture then. */
+bool manifest_is_thumb(const char *name);
 
 /* Whether the driver's bytes are the display picture as well. */
 bool manifest_is_jpeg(const struct take *t, const struct take_frame *f);
@@ -88,7 +92,7 @@ bool manifest_part(const char *text, size_t n, char take[MANIFEST_ID_CAP],
                    char member[TAKE_MEMBER_CAP]);
 
 /* Read back from n bytes of text; `what` begins the sentence. Known keys, each once; files lie in
- * images/, masks/, raw/, merged/ or beside, no name twice.
+ * images/, masks/, thumbs/, raw/, merged/ or beside, no name twice.
  * out:  id, boot, session, status, rig, counter and files.
  * err:  ERR_FORMAT, ERR_NOMEM. On error *out is zeroed. */
 MUST_USE err_t manifest_parse(const char *what, const char *text, size_t n, struct manifest *out);

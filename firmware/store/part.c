@@ -156,6 +156,8 @@ static err_t check_files(const char *what, const struct raw_take *raw, const str
         snprintf(name, sizeof name, "masks/train_%02d_%02d.png", f->camera, f->index);
         n += raw->camera[f->camera].format == CAMERA_MJPG ? 1 : 2;
         n += is_listed(&p->manifest, name);
+        manifest_thumb_name(f->camera, f->index, name);
+        n += is_listed(&p->manifest, name);
     }
     for (int c = 0; c < p->n_cameras; c++) {
         snprintf(name, sizeof name, "merged/%02d.exr", c);

@@ -22,7 +22,7 @@
 
 enum { CHECKED = 3, BOOT_DIGITS = 8 }; // takes that store_open verifies
 
-const char *const store_folders[STORE_FOLDERS] = {"", "images", "raw", "merged", "masks"};
+const char *const store_folders[STORE_FOLDERS] = {"", "images", "raw", "merged", "masks", "thumbs"};
 static const char boot_path[] = "/proc/sys/kernel/random/boot_id";
 static const char counter_name[] = "counter", aborted[] = STORE_ABORTED;
 static const uint64_t counter_max = 999999999;

@@ -4,6 +4,7 @@
  *   STORE/BOOT8-NNNNNN/             BOOT8: first 8 digits of the boot id; NNNNNN: counter
  *     images/train_CC_EE.png|jpg    display pictures: camera CC, exposure EE; JPEG as it came
  *     masks/train_CC_EE.png         of frames in which something moved: 0 where (ghosts.h)
+ *     thumbs/train_CC_EE.jpg        small copies of the pictures, for pages; any may be missing
  *     exposure.json                 name to exposure, for `hdrig reconstruct --images`
  *     raw/CC_EE.bin                 bytes of the driver, unless they are the JPEG
  *     merged/CC.exr                 full brackets: parts e00.. and `merged`, exposure attributes;
@@ -98,7 +99,7 @@ uint64_t store_number(const char *name, bool *is_aborted);
 /* Whether a take may have that name. */
 bool store_is_id(const char *name);
 
-/* Compare a take with its manifest: every file, size and hash.
+/* Compare a take with its manifest: every file but thumbnails, size and hash.
  * err:  ERR_FORMAT names the file: missing, different, not listed; ERR_IO (cannot be read),
  *       ERR_NOMEM. */
 MUST_USE err_t store_verify(const char *dir);

@@ -72,6 +72,7 @@ err_t store_check_take(const struct store_fs *fs, const char *dir, struct manife
     for (int i = 0; i < STORE_FOLDERS && !e; i++)
         e = store_check_listed(m, dir, store_folders[i]);
     for (int i = 0; i < m->n && !e; i++)
-        e = store_check_file(fs, dir, &m->file[i]);
+        if (!manifest_is_thumb(m->file[i].name))
+            e = store_check_file(fs, dir, &m->file[i]);
     return e;
 }

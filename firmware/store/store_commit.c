@@ -5,7 +5,10 @@
 #include "firmware/store/store_media.h"
 
 #include "core/base/log.h"
+#include "drivers/format/img.h"
+#include "drivers/format/thumbnail.h"
 
+#include <stdlib.h>
 #include <string.h>
 
 /* A take being written. */
@@ -86,32 +89,74 @@ static err_t add_file(struct commit *c, const char *name)
     return e ? e : store_fs_hash(c->s->fs, path, &f->bytes, f->sha256);
 }
 
-static err_t put_frame(struct commit *c, const struct take_frame *f)
+static err_t put_bytes(struct commit *c, const char *name, const void *bytes, size_t n)
 {
-    char name[MANIFEST_NAME_CAP], path[FILE_PATH_CAP];
-    manifest_raw_name(c->t, f, name);
+    char path[FILE_PATH_CAP];
     err_t e = file_join(c->to.tmp, name, path);
     if (!e)
-        e = store_fs_write(c->s->fs, path, f->data, f->bytes);
+        e = store_fs_write(c->s->fs, path, bytes, n);
+    return e ? e : add_file(c, name);
+}
+
+static err_t put_mask(struct commit *c, const struct take_frame *f)
+{
+    char name[MANIFEST_NAME_CAP], path[FILE_PATH_CAP];
+    manifest_mask_name(f, name);
+    err_t e = file_join(c->to.tmp, name, path);
     if (!e)
-        e = add_file(c, name);
+        e = ghosts_write(c->s->fs, c->t, f, path);
+    return e ? e : add_file(c, name);
+}
+
+/* im: its display picture; NULL: the frame is a JPEG. One that cannot be made, of a JPEG that a
+ * camera cut off, must not cost the take. */
+static err_t put_thumb(struct commit *c, const struct take_frame *f, const struct image8 *im)
+{
+    char name[MANIFEST_NAME_CAP];
+    void *bytes;
+    size_t n;
+    manifest_thumb_name(f->camera, f->index, name);
+    if ((im ? thumbnail_make(im, name, &bytes, &n)
+            : thumbnail_of_jpeg(f->data, f->bytes, name, &bytes, &n)) != OK) {
+        log_warn("%s: has no %s", c->s->manifest.id, err_text());
+        return OK;
+    }
+    err_t e = put_bytes(c, name, bytes, n);
+    free(bytes);
+    return e;
+}
+
+static err_t put_picture(struct commit *c, const struct take_frame *f)
+{
+    char name[MANIFEST_NAME_CAP];
+    struct image8 im;
+    void *bytes = NULL;
+    size_t n;
+    manifest_picture_name(c->t, f, name);
+    err_t e = store_media_develop(c->t, f, &c->s->manifest.how, &im);
+    if (!e)
+        e = img_encode_png_fast(&im, name, &bytes, &n);
+    if (!e)
+        e = put_bytes(c, name, bytes, n);
+    free(bytes);
+    if (!e)
+        e = put_thumb(c, f, &im);
+    img_free(&im);
+    return e;
+}
+
+static err_t put_frame(struct commit *c, const struct take_frame *f)
+{
+    char name[MANIFEST_NAME_CAP];
+    manifest_raw_name(c->t, f, name);
+    err_t e = put_bytes(c, name, f->data, f->bytes);
     if (e || c->t->status != TAKE_COMPLETE)
         return e;
-    if (f->ghost.moved) {
-        manifest_mask_name(f, name);
-        e = file_join(c->to.tmp, name, path);
-        if (!e)
-            e = ghosts_write(c->s->fs, c->t, f, path);
-        if (!e)
-            e = add_file(c, name);
-    }
-    if (e || manifest_is_jpeg(c->t, f))
+    if (f->ghost.moved)
+        e = put_mask(c, f);
+    if (e)
         return e;
-    manifest_picture_name(c->t, f, name);
-    e = file_join(c->to.tmp, name, path);
-    if (!e)
-        e = store_media_picture(c->s->fs, c->t, f, &c->s->manifest.how, path);
-    return e ? e : add_file(c, name);
+    return manifest_is_jpeg(c->t, f) ? put_thumb(c, f, NULL) : put_picture(c, f);
 }
 
 static err_t put_merged(struct commit *c)
@@ -187,12 +232,12 @@ static err_t each_folder(const struct commit *c, bool merge,
                          err_t (*act)(const struct store_fs *, const char *))
 {
     const bool complete = c->t->status == TAKE_COMPLETE;
-    const char *const folders[] = {"raw", complete ? "images" : NULL,
+    const char *const folders[] = {"raw", complete ? "images" : NULL, complete ? "thumbs" : NULL,
                                    complete && merge ? "merged" : NULL,
                                    complete && c->ghosts ? "masks" : NULL};
     char path[FILE_PATH_CAP];
     err_t e = OK;
-    for (int i = 0; i < 4 && !e; i++) {
+    for (size_t i = 0; i < sizeof folders / sizeof folders[0] && !e; i++) {
         if (!folders[i])
             continue;
         e = file_join(c->to.tmp, folders[i], path);

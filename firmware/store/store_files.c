@@ -28,6 +28,8 @@ bool store_files_of_take(const char *name)
                                         "merged/00.exr",
                                         "masks",
                                         "masks/train_00_00.png",
+                                        "thumbs",
+                                        "thumbs/train_00_00.jpg",
                                         "images/train_00_00.png",
                                         "images/train_00_00.jpg"};
     for (size_t i = 0; i < sizeof names / sizeof names[0]; i++)

@@ -19,7 +19,7 @@
 #define STORE_RIG_BOOT "boot_id"
 #define STORE_RIG_PART ".part" // end of the name of a file that is being fetched
 
-enum { STORE_FOLDERS = 5 };
+enum { STORE_FOLDERS = 6 };
 extern const char *const store_folders[STORE_FOLDERS]; // of a take; the first is the take, ""
 
 struct store {

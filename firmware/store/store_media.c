@@ -9,7 +9,7 @@
 #include "core/photo/merge.h"
 #include "drivers/device/unpack.h"
 #include "drivers/format/exrfile.h"
-#include "drivers/format/img.h"
+#include "drivers/format/thumbnail.h"
 
 #include <inttypes.h>
 #include <math.h>
@@ -89,27 +89,21 @@ err_t store_media_balance(const struct take *t, struct develop *out)
 
 /* ---- pictures ---- */
 
-err_t store_media_picture(const struct store_fs *fs, const struct take *t,
-                          const struct take_frame *f, const struct develop *how, const char *path)
+err_t store_media_develop(const struct take *t, const struct take_frame *f,
+                          const struct develop *how, struct image8 *out)
 {
     struct raw raw;
-    void *bytes = NULL;
-    size_t n;
+    *out = (struct image8){0};
     err_t e = store_media_unpack(t, f, &raw);
     if (e)
         return e;
-    struct image8 im = {raw.w, raw.h, 3, malloc((size_t)raw.w * (size_t)raw.h * 3)};
-    if (!im.px) {
-        e = err_fail(ERR_NOMEM, "%s: no memory for %d x %d px", path, raw.w, raw.h);
-        goto done;
+    *out = (struct image8){raw.w, raw.h, 3, malloc((size_t)raw.w * (size_t)raw.h * 3)};
+    if (out->px) {
+        develop_run(&raw, how, out->px);
+    } else {
+        e = err_fail(ERR_NOMEM, "camera %d: no memory for %d x %d px", f->camera, raw.w, raw.h);
+        *out = (struct image8){0};
     }
-    develop_run(&raw, how, im.px);
-    e = img_encode_png_fast(&im, path, &bytes, &n);
-    if (!e)
-        e = store_fs_write(fs, path, bytes, n);
-done:
-    free(bytes);
-    free(im.px);
     free(raw.px);
     return e;
 }
@@ -296,6 +290,7 @@ uint64_t store_media_need(const struct camera_info *info, int frames, bool merge
     uint64_t need = n * (row * (uint64_t)info->h * 3 / 2 + OVERHEAD); // NV12 has half as many rows
     if (!jpeg)
         need += n * (3 * px + 3 * px / 64 + OVERHEAD);
+    need += n * (thumbnail_need(info->w, info->h) + OVERHEAD);
     if (frames > 1)
         need += n * (px / 4 + OVERHEAD); // masks
     if (merge && frames > 1)

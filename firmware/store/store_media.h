@@ -7,6 +7,7 @@
 #include "firmware/capture/take.h"
 #include "firmware/store/store_fs.h"
 
+#include "core/base/types.h"
 #include "core/photo/develop.h"
 #include "core/photo/raw.h"
 
@@ -20,11 +21,11 @@ MUST_USE err_t store_media_unpack(const struct take *t, const struct take_frame 
  * err:  ERR_FORMAT (a frame differs from its camera's format), ERR_NOMEM. */
 MUST_USE err_t store_media_balance(const struct take *t, struct develop *out);
 
-/* Develop a frame and write it as PNG.
- * err:  those of unpack_run and of writing. */
-MUST_USE err_t store_media_picture(const struct store_fs *fs, const struct take *t,
-                                   const struct take_frame *f, const struct develop *how,
-                                   const char *path);
+/* The display picture of a frame.
+ * own:  img_free.
+ * err:  those of unpack_run, ERR_NOMEM. On error *out is zeroed. */
+MUST_USE err_t store_media_develop(const struct take *t, const struct take_frame *f,
+                                   const struct develop *how, struct image8 *out);
 
 /* Merge the frames of a camera that has several, without the pixels that moved: part `merged`,
  * then e00.. for each exposure, whole. Radiance is relative, 1 saturates in 1 s at gain 1; it is

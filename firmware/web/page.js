@@ -80,14 +80,18 @@ function cameraCard(c, i, lively) {
   return card;
 }
 
-/* Of one camera, its exposures; of many, one of each. */
+/* Of one camera, its exposures; of many, one of each. They are small ones, which lead to the whole;
+ * takes of before, and those that lost theirs, show that itself. */
 function pictures(c) {
   const all = (c.images || []).map((name) => {
-    const img = element("img");
-    img.src = `/captures/${c.id}/images/${name}`;
+    const a = element("a"), img = element("img");
+    a.href = `/captures/${c.id}/images/${name}`;
+    img.src = `/captures/${c.id}/thumbs/${name.replace(/\.\w+$/, ".jpg")}`;
+    img.addEventListener("error", () => { img.src = a.href; }, { once: true });
     img.alt = name;
     img.loading = "lazy";
-    return img;
+    a.append(img);
+    return a;
   });
   if (all.length <= 3) return all;
   const sheet = element("details", undefined, "sheet");

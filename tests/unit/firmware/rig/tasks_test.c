@@ -177,6 +177,38 @@ static void a_part_comes_and_goes(void **state)
     assert_int_equal(k.n_holds, 0);
 }
 
+/* What is left of the part of b1 when its thumbnails are missing and damaged. */
+static void a_part_without_thumbnails(void **state)
+{
+    static struct task order, k;
+    static const char *const names[] = {"thumbs/train_00_00.jpg", "thumbs/train_00_01.jpg"};
+    char path[FILE_PATH_CAP], file[FILE_PATH_CAP];
+    (void)state;
+    record(&order);
+    put_part(1, order.take, "b1");
+    list_holds(1, &k);
+    expect_ok(file_join(folder[1], k.hold[0].part, path));
+    expect_ok(file_join(path, names[0], file));
+    assert_int_equal(truncate(file, 100), 0);
+    expect_ok(file_join(path, names[1], file));
+    assert_int_equal(unlink(file), 0);
+    k = fetching(order.take, &k.hold[0]);
+    run(0, &k);
+    ends_with(&k, OK, "");
+    k = (struct task){.kind = TASK_JOIN, .order = order.order};
+    k.order.n = 1;
+    strcpy(k.order.member[0], "b1");
+    memcpy(k.take, order.take, sizeof k.take);
+    run(0, &k);
+    ends_with(&k, OK, "");
+    expect_ok(file_join(folder[0], order.take, path));
+    expect_ok(store_verify(path));
+    for (int i = 0; i < 2; i++) {
+        expect_ok(file_join(path, names[i], file));
+        assert_false(file_exists(file));
+    }
+}
+
 static void parts_that_cannot_be_fetched(void **state)
 {
     static struct task order, k, holds;
@@ -266,6 +298,7 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test_setup_teardown(a_part_comes_and_goes, set_up, tear_down),
+        cmocka_unit_test_setup_teardown(a_part_without_thumbnails, set_up, tear_down),
         cmocka_unit_test_setup_teardown(parts_that_cannot_be_fetched, set_up, tear_down),
         cmocka_unit_test_setup_teardown(dropped_takes_are_remembered, set_up, tear_down),
         cmocka_unit_test_setup_teardown(closing_does_not_wait, set_up, tear_down),

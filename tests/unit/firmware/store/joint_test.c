@@ -141,6 +141,17 @@ static struct raw_take *read_raw(const char *id)
     return t;
 }
 
+static void flip(const char *path, long at)
+{
+    FILE *f = fopen(path, "r+");
+    assert_non_null(f);
+    fseek(f, at, SEEK_SET);
+    int c = getc(f);
+    fseek(f, at, SEEK_SET);
+    putc(c ^ 1, f);
+    assert_int_equal(fclose(f), 0);
+}
+
 /* ---- takes that become one ---- */
 
 /* A take of two boards, with two cameras and one. */
@@ -174,7 +185,7 @@ static void two_boards(void **state)
     struct exposures x;
     commit_two(s, id);
     expect_ok(store_verify(in("", id, "")));
-    assert_int_equal(links, 3 * 3 * 2 + 3);
+    assert_int_equal(links, 3 * 3 * 3 + 3);
     assert_int_equal(joint_pending(folder, ids, 4), 0);
     assert_int_equal(entries(folder), 2); // with the counter
     struct raw_take *raw = read_raw(id);
@@ -232,6 +243,29 @@ static void masks_are_numbered(void **state)
     assert_int_equal(entries(in("", id, "masks")), 1);
     assert_true(file_exists(in("", id, "masks/train_02_00.png")) ||
                 file_exists(in("", id, "masks/train_02_01.png")));
+    store_close(s);
+}
+
+/* A thumbnail of a board may be gone or damaged; the take has the others. */
+static void thumbnails_are_numbered(void **state)
+{
+    (void)state;
+    char id[STORE_ID_CAP], part[STORE_ID_CAP];
+    struct store *s = open_in(folder, 0);
+    begin(s, id);
+    struct take *t = small_part(1, 2, CAMERA_GREY16, id, "b0");
+    expect_ok(store_commit(s, t, part));
+    take_free(t);
+    assert_int_equal(unlink(in("", part, "thumbs/train_00_00.jpg")), 0);
+    expect_ok(joint_part_own(s, id, "b0", part));
+    stage(s, small_part(2, 2, CAMERA_MJPG, id, "b1"), id);
+    flip(in(".rig-", id, "b1/thumbs/train_00_01.jpg"), 40);
+    expect_ok(join(s, id, 2));
+    expect_ok(store_verify(in("", id, "")));
+    assert_int_equal(entries(in("", id, "thumbs")), 4);
+    assert_true(file_exists(in("", id, "thumbs/train_00_01.jpg")));
+    assert_false(file_exists(in("", id, "thumbs/train_01_01.jpg")));
+    assert_true(file_exists(in("", id, "thumbs/train_02_01.jpg")));
     store_close(s);
 }
 
@@ -462,17 +496,6 @@ static void refused(struct store *s, const char *id, err_t code, const char *wor
     assert_int_equal(store_list(s, ids, 4), 0);
 }
 
-static void flip(const char *path, long at)
-{
-    FILE *f = fopen(path, "r+");
-    assert_non_null(f);
-    fseek(f, at, SEEK_SET);
-    int c = getc(f);
-    fseek(f, at, SEEK_SET);
-    putc(c ^ 1, f);
-    assert_int_equal(fclose(f), 0);
-}
-
 static void spoiled_parts(void **state)
 {
     (void)state;
@@ -576,9 +599,9 @@ static void hostile_parts(void **state)
     with(s, id, "\"raw\": \"raw/00_00", "\"raw\": \"raw/../x", "names no file");
     with(s, id, "images/train_00_00.png", "images/train_63_00.png", "names of others");
     with(s, id, "\"name\": \"raw/00_00.bin\"", "\"name\": \"raw/63_00.bin\"", "is not listed");
-    with(s, id, "\"name\": \"merged/00.exr\"", "\"name\": \"merged/07.exr\"", "lists 11 files");
-    with(s, id, "\"name\": \"exposure.json\"", "\"name\": \"order.json\"", "lists 11 files");
-    with(s, id, "\"name\": \"merged/00.exr\"", "\"name\": \"images/x.png\"", "lists 11 files");
+    with(s, id, "\"name\": \"merged/00.exr\"", "\"name\": \"merged/07.exr\"", "lists 15 files");
+    with(s, id, "\"name\": \"exposure.json\"", "\"name\": \"order.json\"", "lists 15 files");
+    with(s, id, "\"name\": \"merged/00.exr\"", "\"name\": \"images/x.png\"", "lists 15 files");
     with(s, id, "\"uri\"", "\"member\": \"b0\", \"uri\"", "is of a joint take");
     with(s, id, "\"uri\"", "\"uri\": 1, \"uri\"", "different keys");
     with(s, id, "\"pixels\": \"grey16\"", "\"pixels\": \"film\"", "needs pixels");
@@ -711,6 +734,7 @@ int main(void)
                                        EACH(two_boards),
                                        EACH(says_everything),
                                        EACH(masks_are_numbered),
+                                       EACH(thumbnails_are_numbered),
                                        EACH(sixteen_boards),
                                        EACH(the_largest_rig),
                                        EACH(missing_boards),

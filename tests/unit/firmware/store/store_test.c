@@ -232,7 +232,7 @@ static void manifest_says_everything(void **state)
     assert_false(json_is_object(json_member(frame, "reported")));
     assert_true(number_at(json_member(frame, "set"), "time_s") == 0.25);
     assert_int_equal(json_count(json_member(doc, "files")),
-                     2 * CAMERAS * EXPOSURES + CAMERAS + 1); // without itself
+                     3 * CAMERAS * EXPOSURES + CAMERAS + 1); // without itself
     json_free(doc);
     store_close(s);
 }
@@ -255,6 +255,64 @@ static void balances_large_mosaics(void **state)
     assert_true(fabs(number_at(doc, "white_red") - 2.0) < 0.02);
     assert_true(fabs(number_at(doc, "white_blue") - 1.0) < 0.02);
     json_free(doc);
+    store_close(s);
+}
+
+static bool is_listed(const char *id, const char *name)
+{
+    struct cJSON *doc;
+    bool found = false;
+    expect_ok(json_read(in(id, "manifest.json"), &doc));
+    for (const struct cJSON *f = json_first(json_member(doc, "files")); f; f = json_next(f))
+        found = found || strcmp(json_string(json_member(f, "name")), name) == 0;
+    json_free(doc);
+    return found;
+}
+
+/* Pages show them; whatever becomes of them, the take is as good as before. */
+static void thumbnails(void **state)
+{
+    (void)state;
+    static const enum camera_format formats[] = {CAMERA_RGGB16, CAMERA_GREY16, CAMERA_MJPG};
+    char id[STORE_ID_CAP], dir[1024];
+    struct store *s = open_keep(0);
+    struct image8 im;
+    for (int i = 0; i < 3; i++) {
+        struct take *t = small_take(1, 2, formats[i]);
+        const struct camera_info info = t->camera[0].info;
+        commit(s, t, id);
+        snprintf(dir, sizeof dir, "%s", in(id, ""));
+        assert_int_equal(entries(in(id, "thumbs")), 2);
+        assert_true(is_listed(id, "thumbs/train_00_01.jpg"));
+        expect_ok(img_read(in(id, "thumbs/train_00_01.jpg"), &im));
+        assert_true(im.w == info.w && im.h == info.h);
+        img_free(&im);
+        expect_ok(store_verify(dir));
+        put_text(in(id, "thumbs/train_00_01.jpg"), "damaged");
+        assert_int_equal(remove(in(id, "thumbs/train_00_00.jpg")), 0);
+        expect_ok(store_verify(dir));
+        put_text(in(id, "thumbs/train_00_02.jpg"), "");
+        expect_err(store_verify(dir), ERR_FORMAT, "train_00_02.jpg: is not in the manifest");
+    }
+    store_close(s);
+}
+
+/* A camera's JPEG that ends too early is kept as it came, as before there were any. */
+static void no_thumbnail_of_a_cut_jpeg(void **state)
+{
+    (void)state;
+    char id[STORE_ID_CAP];
+    struct store *s = open_keep(1);
+    struct take *t = small_take(1, 2, CAMERA_MJPG);
+    t->frame[1].bytes /= 2;
+    commit(s, t, id);
+    assert_true(is_listed(id, "thumbs/train_00_00.jpg"));
+    assert_false(is_listed(id, "thumbs/train_00_01.jpg"));
+    assert_int_equal(entries(in(id, "thumbs")), 1);
+    expect_ok(store_verify(in(id, "")));
+    assert_int_equal(remove(in(id, "thumbs/train_00_00.jpg")), 0);
+    commit(s, small_take(1, 1, CAMERA_GREY16), id);
+    assert_int_equal(entries(folder), 2); // the first one could be removed
     store_close(s);
 }
 
@@ -718,6 +776,8 @@ int main(void)
                                        EACH(keeps_what_the_driver_gave),
                                        EACH(merges_radiance),
                                        EACH(manifest_says_everything),
+                                       EACH(thumbnails),
+                                       EACH(no_thumbnail_of_a_cut_jpeg),
                                        EACH(balances_large_mosaics),
                                        EACH(aborted_takes),
                                        EACH(numbers_rise),
