@@ -252,8 +252,8 @@ static void put_scene(const struct page *p)
 
 /* ---- the page ---- */
 
-/* Indentation and comments, which begin their lines and end theirs, are for readers of the source.
- * The text ends with a newline. */
+/* Indentation and comments are for readers of the source: those that begin a line and end one, and
+ * what follows code after " // ", which no string has. The text ends with a newline. */
 static void put_code(const char *text, size_t bytes, FILE *f)
 {
     bool comment = false;
@@ -261,10 +261,13 @@ static void put_code(const char *text, size_t bytes, FILE *f)
         next = strchr(at, '\n') + 1;
         at += strspn(at, " ");
         comment |= strncmp(at, "/*", 2) == 0;
-        if (!comment)
-            fwrite(at, 1, (size_t)(next - at), f);
-        else
+        if (comment) {
             comment = strncmp(next - 3, "*/", 2) != 0;
+            continue;
+        }
+        const char *rest = memmem(at, (size_t)(next - at), " // ", 4);
+        fwrite(at, 1, (size_t)((rest ? rest : next - 1) - at), f);
+        fputc('\n', f);
     }
 }
 

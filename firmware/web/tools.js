@@ -203,11 +203,13 @@ function fly(key, faster) {
 
 /* ---- through the cameras ---- */
 
-const tour = { on: false, recorder: null };
+const tour = { on: false, recorder: null, pictures: false };
 
 function showTour() {
-  byId("play").setAttribute("aria-pressed", tour.on && !tour.recorder);
-  byId("record").setAttribute("aria-pressed", !!tour.recorder);
+  const { on, recorder, pictures } = tour;
+  for (const [id, pressed] of Object.entries({ play: on && !recorder,
+    record: !!recorder && !pictures, pictures }))
+    byId(id).setAttribute("aria-pressed", pressed);
 }
 
 /* From the last camera on; `legs` of them. */
@@ -297,6 +299,7 @@ async function recordPictures() {
     files.push({ blob, sum: ~sum });
   }
   motion.ticking = tour.pictures = false;
+  showTour();
   if (motion.step) move(motion.step); // what began meanwhile
   save(new Blob(zipped(files), { type: "application/zip" }), "zip");
 }
@@ -431,23 +434,24 @@ function focusMiddle() {
 
 /* Hands stop what moves by itself, but for those that are its own. */
 function haltBy(e) {
-  const own = e.target.closest && e.target.closest("#play, #record");
+  const own = e.target.closest && e.target.closest("#play, #record, #pictures");
   if (own || e.key === " " || e.key === "Shift" || e.key && FLY[e.key.toLowerCase()]) return;
   halt();
 }
 
 function openTools() {
   const press = { reset: () => go(state.last), play: () => tour.on ? halt() : play(),
-    record: () => tour.recorder ? halt() : record(), save: savePicture, link: copyLink,
+    record: () => tour.recorder ? halt() : record(),
+    pictures: () => tour.pictures ? halt() : recordPictures(), save: savePicture, link: copyLink,
     unseen: () => showUnseen(!state.unseen), crop: switchBox, full: switchFull,
     copybox: () =>
       copy(byId("argument").textContent, "this browser does not copy: mark the text") };
   for (const [id, act] of Object.entries(press)) byId(id).addEventListener("click", act);
-  byId("play").hidden = info.views.length < 2;
+  byId("play").hidden = byId("pictures").hidden = info.views.length < 2;
   byId("record").hidden = info.views.length < 2 || !canvas.captureStream ||
     !window.MediaRecorder || !MediaRecorder.isTypeSupported("video/webm");
   byId("full").hidden = !document.fullscreenEnabled;
-  Object.assign(keys, { " ": press.play, p: savePicture, o: recordPictures,
+  Object.assign(keys, { " ": press.play, p: savePicture, o: press.pictures,
     v: copyLink, u: press.unseen, x: switchBox,
     f: () => document.fullscreenEnabled && switchFull(), Enter: focusMiddle });
   for (const key of Object.keys(FLY))

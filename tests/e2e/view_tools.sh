@@ -336,11 +336,12 @@ quiet "film"
 evaluate "viewer.go(0)"
 hold o
 release o
-wait_for "document.getElementById('record').ariaPressed" true
+wait_for "document.getElementById('pictures').ariaPressed" true
+is "['play', 'record'].map((id) => document.getElementById(id).ariaPressed).join()" false,false
 sleep 3
 hold o
 release o
-wait_for "document.getElementById('record').ariaPressed" false
+wait_for "document.getElementById('pictures').ariaPressed" false
 saved zip
 n=$("$BIN/list_zip" "$file" "$OUT/last.png") || fail "$file is damaged"
 at_least "pictures in the archive" "$n" 2
@@ -372,5 +373,23 @@ for size in "360 740" "740 360"; do
         c.right <= b.left || b.bottom <= c.top || c.bottom <= b.top))" true
     screenshot "$OUT/$width.png"
 done
+
+# by a finger: the film as pictures begins, and ends
+tap() { # id
+    local x y
+    read -r x y <<<"$(value "middleOf('$1')")"
+    touch touchStart "{\"x\":$x,\"y\":$y}"
+    touch touchEnd ''
+}
+rm "$OUT"/saved/*.zip
+call Emulation.setTouchEmulationEnabled '{"enabled":true}'
+tap pictures
+wait_for "document.getElementById('pictures').ariaPressed" true
+wait_for "motion.ticking" true
+tap pictures
+wait_for "document.getElementById('pictures').ariaPressed" false
+saved zip
+"$BIN/list_zip" "$file" "$OUT/last.png" >/dev/null || fail "$file is damaged"
+quiet "pictures by a finger"
 browser_close
 finish

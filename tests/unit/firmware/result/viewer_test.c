@@ -552,6 +552,8 @@ static void what_stands_around_it(void **state)
     /* the promise of the issue, and that of viewer_bytes */
     assert_true(page_bytes - info_chars - blob_chars < FRAME_MAX);
     assert_null(strstr(page, "\n  ")); // no indentation
+    assert_null(strstr(page, " // "));
+    assert_non_null(strstr(page, "const BATCH = 4096;\n"));
     assert_true(page_bytes <= viewer_bytes(&input));
     input.photos = NULL;
     input.report = NULL;
