@@ -34,6 +34,7 @@ struct packer {
     uint16_t (*numbers)[PAGESPLATS_NUMBERS]; // (n)
     float *sample;                           // (n) for what positions and order ask
     int32_t *value;                          // (n) of the field that is being made
+    int from, end;                           // places in the stream that is being made
     struct compressed_out stream;
 };
 
@@ -208,8 +209,8 @@ static err_t put_field(struct packer *k, int bytes)
     uint8_t block[BLOCK];
     err_t e = OK;
     for (int b = 0; b < bytes; b++)
-        for (int i = 0, m; i < k->p->n && !e; i += m) {
-            m = num_min(k->p->n - i, BLOCK);
+        for (int i = k->from, m; i < k->end && !e; i += m) {
+            m = num_min(k->end - i, BLOCK);
             for (int j = 0; j < m; j++)
                 block[j] = (uint8_t)((uint32_t)k->value[i + j] >> (8 * b));
             e = compressed_put(&k->stream, block, (size_t)m);
@@ -220,7 +221,7 @@ static err_t put_field(struct packer *k, int bytes)
 static err_t put_position(struct packer *k, int c)
 {
     int32_t before = 0;
-    for (int i = 0; i < k->p->n; i++) {
+    for (int i = k->from; i < k->end; i++) {
         const int32_t v = position(k, c, k->place[i].splat);
         k->value[i] = zigzag(v - before);
         before = v;
@@ -231,7 +232,7 @@ static err_t put_position(struct packer *k, int c)
 /* Number `from` of pagesplats.h as it is; minus > 0: less that one. */
 static err_t put_numbers(struct packer *k, int from, int minus)
 {
-    for (int i = 0; i < k->p->n; i++) {
+    for (int i = k->from; i < k->end; i++) {
         const uint16_t *v = k->numbers[i];
         k->value[i] = minus > 0 ? zigzag(v[from] - v[minus]) : v[from];
     }
@@ -242,14 +243,14 @@ static err_t put_quats(struct packer *k)
 {
     err_t e = OK;
     for (int c = 0; c < 3 && !e; c++) {
-        for (int i = 0; i < k->p->n; i++) {
+        for (int i = k->from; i < k->end; i++) {
             const int v = (k->numbers[i][PAGESPLATS_QUAT + c] & 0x7fff) - 16383;
             const long most = 16383 / PAGEPACK_QUAT, step = lround((double)v / PAGEPACK_QUAT);
             k->value[i] = zigzag((int32_t)(step < -most ? -most : step > most ? most : step));
         }
         e = put_field(k, 2);
     }
-    for (int i = 0; i < k->p->n; i++) {
+    for (int i = k->from; i < k->end; i++) {
         const uint16_t *v = k->numbers[i] + PAGESPLATS_QUAT;
         k->value[i] = v[0] >> 15 | v[1] >> 15 << 1 | v[2] >> 15 << 2;
     }
@@ -262,7 +263,7 @@ static err_t put_harmonics(struct packer *k)
     const int planes = 3 * (k->p->degree + 1) * (k->p->degree + 1);
     err_t e = OK;
     for (int p = G_SH + 3; p < G_SH + planes && !e; p++) {
-        for (int i = 0; i < k->p->n; i++) {
+        for (int i = k->from; i < k->end; i++) {
             const double v = (double)g->plane[p][k->place[i].splat] / k->out->sh;
             k->value[i] = zigzag((int32_t)lrint(fmax(fmin(v, INT16_MAX), -INT16_MAX)));
         }
@@ -274,7 +275,7 @@ static err_t put_harmonics(struct packer *k)
 static err_t put_fields(struct packer *k)
 {
     err_t e = OK;
-    for (int i = 0; i < k->p->n; i++)
+    for (int i = k->from; i < k->end; i++)
         pagesplats_numbers(k->p, k->place[i].splat, k->numbers[i]);
     for (int c = 0; c < 3 && !e; c++)
         e = put_position(k, c);
@@ -289,20 +290,34 @@ static err_t put_fields(struct packer *k)
     return e ? e : put_harmonics(k);
 }
 
-/* ---- the stream ---- */
+/* ---- the streams ---- */
 
-static err_t put_stream(struct packer *k)
+static err_t put_stream(struct packer *k, FILE *f, int from, int end)
 {
-    FILE *f = open_memstream(&k->out->bytes, &k->out->n_bytes);
-    if (!f)
-        return err_fail(ERR_NOMEM, "page of the scene: no memory");
-    err_t e = compressed_begin(&k->stream, "page of the scene", COMPRESSED_GZIP_LONG, f, 0), end;
+    k->from = from;
+    k->end = end;
+    err_t e = compressed_begin(&k->stream, "page of the scene", COMPRESSED_GZIP_LONG, f, 0), ended;
     if (!e)
         e = put_fields(k);
-    end = compressed_end(&k->stream);
+    ended = compressed_end(&k->stream);
+    return e ? e : ended;
+}
+
+static err_t put_streams(struct packer *k)
+{
+    struct pagepack *o = k->out;
+    size_t n;
+    FILE *f = open_memstream(&o->bytes, &n);
+    if (!f)
+        return err_fail(ERR_NOMEM, "page of the scene: no memory");
+    err_t e = put_stream(k, f, 0, o->first);
+    o->n_bytes[0] = fflush(f) == 0 ? n : 0;
+    if (!e && o->first < k->p->n)
+        e = put_stream(k, f, o->first, k->p->n);
     if (fclose(f) != 0 && !e)
         e = err_fail(ERR_NOMEM, "page of the scene: no memory for its %d splats", k->p->n);
-    return e ? e : end;
+    o->n_bytes[1] = e ? 0 : n - o->n_bytes[0];
+    return e;
 }
 
 static void list_splats(const struct packer *k)
@@ -329,7 +344,7 @@ err_t pagepack_run(const struct pagesplats *p, struct pagepack *out)
         list_splats(&k);
         plan_positions(&k);
         find_order(&k);
-        e = put_stream(&k);
+        e = put_streams(&k);
     }
     free(k.place);
     free(k.numbers);
@@ -351,5 +366,5 @@ void pagepack_free(struct pagepack *p)
 {
     free(p->bytes);
     p->bytes = NULL;
-    p->n_bytes = 0;
+    memset(p->n_bytes, 0, sizeof p->n_bytes);
 }

@@ -2,8 +2,10 @@
  * coarser steps, neighbours in space one after the other, bytes of like meaning together,
  * and gzip around all of it. firmware/web/unpack.js makes of them what pagesplats.h describes.
  *
- * One gzip stream: fields, each of n numbers; a number is a whole one, and a field has the lowest
- * byte of all its numbers first, then the next one of all. Z: stored as 2 v, or -2 v - 1 if v < 0.
+ * A gzip stream of the `first` splats, which are the most important ones of a large scene, and one
+ * of the rest, if there are more: a page shows the first ones while it still reads. A stream is
+ * fields, each of n numbers; a number is a whole one, and a field has the lowest byte of all its
+ * numbers first, then the next one of all. Z: stored as 2 v, or -2 v - 1 if v < 0.
  *   x, y, z           3 bytes, Z: difference to the splat before, of steps s;
  *                     position = at + reach sinh(step (low + s)): far splats, such as the sky's,
  *                     have long steps
@@ -12,7 +14,6 @@
  *   bits 15 of q      1 byte: those of q[0], q[1], q[2] in bits 0, 1, 2
  *   light             2 bytes: green; then Z of red - green; Z of blue - green
  *   harmonics         2 bytes, Z: each over `sh`, coefficient by coefficient, red, green, blue
- * The first `first` splats are the most important ones: a page may show them before the rest.
  * thread: any. */
 #ifndef RESULT_PAGEPACK_H
 #define RESULT_PAGEPACK_H
@@ -30,10 +31,10 @@ enum {
 struct pagepack {
     double at[3], reach, step; // of positions
     int low[3];
-    double sh;   // step of harmonics
-    int first;   // n: all
-    char *bytes; // the stream
-    size_t n_bytes;
+    double sh;         // step of harmonics
+    int first;         // n: all
+    char *bytes;       // the streams, one after the other
+    size_t n_bytes[2]; // 0: there is none
 };
 
 /* own:  pagepack_free.

@@ -1,7 +1,8 @@
 /* The page is firmware/web/view.html with @css@, @splats@, @light@, @tools@ and @js@ (the files
- * beside it), @title@, @info@ and @scene@ replaced. @info@ is JSON: what pagesplats.h and
+ * beside it), @title@, @info@, @scene@ and @rest@ replaced. @info@ is JSON: what pagesplats.h and
  * pagepack.h call the page's numbers, tone curve, background, cameras, photographs as JPEG.
- * @scene@ is the splats. */
+ * @scene@ is the splats; of a large scene the most important ones, and @rest@ the others, so that
+ * the page shows them while it is still read. */
 #include "firmware/result/viewer.h"
 
 #include "firmware/result/embed.h"
@@ -168,11 +169,12 @@ static void put_steps(const struct page *p, FILE *f)
             s->scale.lo, s->scale.step, s->logit.lo, s->logit.step, s->light.lo, s->light.step);
     if (!k->bytes)
         return;
-    fprintf(f,
-            "\"packed\":{\"bytes\":%zu,\"at\":[%.17g,%.17g,%.17g],\"reach\":%.17g,\"step\":%.17g,"
-            "\"low\":[%d,%d,%d],\"quat\":%d,\"sh\":%.17g,\"first\":%d},",
-            k->n_bytes, k->at[0], k->at[1], k->at[2], k->reach, k->step, k->low[0], k->low[1],
-            k->low[2], PAGEPACK_QUAT, k->sh, k->first);
+    fprintf(
+        f,
+        "\"packed\":{\"bytes\":[%zu,%zu],\"at\":[%.17g,%.17g,%.17g],\"reach\":%.17g,\"step\":%.17g,"
+        "\"low\":[%d,%d,%d],\"quat\":%d,\"sh\":%.17g,\"first\":%d},",
+        k->n_bytes[0], k->n_bytes[1], k->at[0], k->at[1], k->at[2], k->reach, k->step, k->low[0],
+        k->low[1], k->low[2], PAGEPACK_QUAT, k->sh, k->first);
 }
 
 static err_t put_info(const struct page *p, FILE *f)
@@ -239,13 +241,14 @@ static void put_title(const char *text, FILE *f)
             fputc(*text, f);
 }
 
-static void put_scene(const struct page *p)
+static void put_splats(const struct page *p, bool rest)
 {
+    const size_t *n = p->pack.n_bytes;
     struct pagetext text;
     pagetext_begin(&text, p->f);
     if (p->pack.bytes)
-        pagetext_put(&text, p->pack.bytes, p->pack.n_bytes);
-    else
+        pagetext_put(&text, p->pack.bytes + (rest ? n[0] : 0), n[rest]);
+    else if (!rest)
         pagesplats_put(&p->splats, &text);
     pagetext_end(&text);
 }
@@ -290,7 +293,7 @@ static err_t put_part(const struct page *p, const char *name, size_t n)
     else if (strncmp(name, "info", n) == 0)
         return put_json(p);
     else
-        put_scene(p);
+        put_splats(p, strncmp(name, "rest", n) == 0);
     return OK;
 }
 

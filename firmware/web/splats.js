@@ -308,15 +308,17 @@ function texture(format, width, height) {
   return t;
 }
 
-/* `texels` of `words` numbers each, in rows of the table's width; the last row may be short. */
-function fill(t, data, from, texels, words, format, type) {
-  const rows = Math.floor(texels / gpu.width), rest = texels % gpu.width;
+/* Texels of one or four words each, from number `at` of the table on, in rows of its width; the
+ * first and the last row may be short. */
+function fill(t, data, at, words) {
+  const end = at + data.length / words, format = words === 1 ? gl.RED_INTEGER : gl.RGBA_INTEGER;
   gl.bindTexture(gl.TEXTURE_2D, t);
-  if (rows)
-    gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, gpu.width, rows, format, type, data, from);
-  if (rest)
-    gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, rows, rest, 1, format, type, data,
-      from + rows * gpu.width * words);
+  for (let from = 0, w, rows; at < end; at += w * rows, from += w * rows * words) {
+    const x = at % gpu.width, y = Math.floor(at / gpu.width);
+    w = Math.min(end - at, gpu.width - x);
+    rows = x ? 1 : Math.max(1, Math.floor((end - at) / gpu.width));
+    gl.texSubImage2D(gl.TEXTURE_2D, 0, x, y, w, rows, format, gl.UNSIGNED_INT, data, from);
+  }
 }
 
 function table(format, texels) {
@@ -380,10 +382,12 @@ function bytesOf(text, size) {
   return out;
 }
 
-function decode() {
-  const text = byId("scene") ? byId("scene").textContent : "", { n, packed } = info;
+/* The n splats in the page's element. */
+function decode(id, n) {
+  const text = byId(id) ? byId(id).textContent : "", { packed } = info;
   if (!packed) return bytesOf(text, n * (32 + 16 * shTexels)).buffer;
-  return unpack(inflate(bytesOf(text, packed.bytes), n * (24 + 6 * coefficients)));
+  const bytes = bytesOf(text, packed.bytes[id === "rest" ? 1 : 0]);
+  return unpack(inflate(bytes, n * (24 + 6 * coefficients)), n);
 }
 
 const number = (v) => { // a GLSL constant
@@ -426,12 +430,14 @@ function openGpu() {
   gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
 }
 
-function fillGpu(scene) {
-  const n = info.n, words = new Uint32Array(scene);
-  fill(gpu.splats, words, 0, 2 * n, 4, gl.RGBA_INTEGER, gl.UNSIGNED_INT);
-  fill(gpu.harmonics, words, 8 * n, shTexels * n, 4, gl.RGBA_INTEGER, gl.UNSIGNED_INT);
+/* n splats from number `at` on. */
+function fillGpu(scene, at, n) {
+  const words = new Uint32Array(scene);
+  fill(gpu.splats, words.subarray(0, 8 * n), 2 * at, 4);
+  fill(gpu.harmonics, words.subarray(8 * n), shTexels * at, 4);
   if (gl.getError() === gl.OUT_OF_MEMORY)
-    throw new Error(`the scene has ${n} splats, too many for the memory of this graphics driver`);
+    throw new Error(`the scene has ${info.n} splats, ` +
+      "too many for the memory of this graphics driver");
 }
 
 function use(p, textures) {
@@ -447,8 +453,9 @@ function use(p, textures) {
 
 /* Runs in the worker: splats before the camera by depth, nearest first, ties by number, as
  * raster.c; least significant digit first. */
-function sorter() {
-  let mu, n, keys, orders;
+function sorter(n) {
+  const mu = new Float32Array(3 * n), keys = [new Uint32Array(n), new Uint32Array(n)];
+  const orders = [new Uint32Array(n), new Uint32Array(n)];
   const DIGIT = 11, DIGITS = 3, SIZE = 1 << DIGIT;
   function sort([a, b, c, d], upTo) {
     const depth = new Float32Array(keys[0].buffer);
@@ -474,26 +481,27 @@ function sorter() {
     return seen;
   }
   onmessage = ({ data }) => {
-    if (data.mu) {
-      mu = data.mu;
-      n = mu.length / 3;
-      keys = [new Uint32Array(n), new Uint32Array(n)];
-      orders = [new Uint32Array(n), new Uint32Array(n)];
-      return;
-    }
+    if (data.mu) return mu.set(data.mu, 3 * data.at);
     const seen = sort(data.row, data.upTo), order = orders[1].slice(0, seen);
     postMessage({ ...data, seen, order }, [order.buffer]);
   };
 }
 
-/* row: of the depths that they are sorted by; upTo: how many of them, the most important ones. */
-const sorting = { worker: null, busy: false, row: null, upTo: 0, seen: -1 };
+/* sent: splats whose places the worker has; loaded: those that the GPU has, too; row: of the depths
+ * that they are sorted by; upTo: how many of them. */
+const sorting = { worker: null, sent: 0, loaded: 0, busy: false, row: null, upTo: 0, seen: -1 };
 
-function openSorter(scene) {
-  const all = new Float32Array(scene, 0, 8 * info.n), mu = new Float32Array(3 * info.n);
-  for (let i = 0; i < info.n; i++)
+function sendPlaces(scene, at, n) {
+  const all = new Float32Array(scene, 0, 8 * n), mu = new Float32Array(3 * n);
+  for (let i = 0; i < n; i++)
     for (let k = 0; k < 3; k++) mu[3 * i + k] = all[8 * i + k];
-  const url = URL.createObjectURL(new Blob([`(${sorter})()`], { type: "text/javascript" }));
+  sorting.worker.postMessage({ mu, at }, [mu.buffer]);
+  sorting.sent = at + n;
+}
+
+function openSorter() {
+  const text = `(${sorter})(${info.n})`;
+  const url = URL.createObjectURL(new Blob([text], { type: "text/javascript" }));
   sorting.worker = new Worker(url);
   sorting.worker.onerror = ({ message }) =>
     fail(`this browser cannot sort the splats in a worker: ${message || "it refuses"}`);
@@ -502,18 +510,17 @@ function openSorter(scene) {
     if (gl.isContextLost()) return;
     const { row, upTo, seen } = data;
     Object.assign(sorting, { row, upTo, seen });
-    fill(gpu.order, data.order, 0, data.seen, 1, gl.RED_INTEGER, gl.UNSIGNED_INT);
+    fill(gpu.order, data.order, 0, 1);
     invalidate(true);
     requestSort();
   };
-  sorting.worker.postMessage({ mu }, [mu.buffer]);
 }
 
 const same = (a, b) => a && b && a.every((v, k) => v === b[k]);
 
 function requestSort() {
   const { R, t } = state.cam, row = [R[6], R[7], R[8], t[2]];
-  const upTo = firstPicture || !info.packed ? info.n : info.packed.first; // of a large scene
+  const upTo = sorting.loaded;
   if (sorting.busy || (sorting.upTo === upTo && same(sorting.row, row))) return;
   sorting.busy = true;
   sorting.worker.postMessage({ row, upTo });
@@ -688,12 +695,12 @@ function frame(now) {
   if (!firstPicture && sorting.seen >= 0) {
     radiance(0, 0, 1, 1); // waits for the picture
     firstPicture = performance.now();
-    requestSort(); // of all splats
     state.coarse = 1;
     showFacts();
     requestAnimationFrame(() => { // the picture is seen, then the controls, then all of it
       document.body.className = "";
       invalidate(false);
+      setTimeout(loadRest);
     });
   }
 }

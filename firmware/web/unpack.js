@@ -154,9 +154,9 @@ function halvesOf(step) {
 
 const unfold = (v) => v >>> 1 ^ -(v & 1);
 
-/* Fields of pagepack.h become the splats of pagesplats.h. */
-function unpack(bytes) {
-  const { n, packed } = info, out = new ArrayBuffer(n * (32 + 16 * shTexels));
+/* Fields of pagepack.h, of n splats, become the splats of pagesplats.h. */
+function unpack(bytes, n) {
+  const { packed } = info, out = new ArrayBuffer(n * (32 + 16 * shTexels));
   const floats = new Float32Array(out, 0, 8 * n), words = new Uint16Array(out);
   const halves = coefficients > 1 ? halvesOf(packed.sh) : null, at = packed.low.slice();
   const two = (from) => bytes[from] | bytes[from + n] << 8; // bytes of the number there

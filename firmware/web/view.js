@@ -5,9 +5,9 @@
 
 const sample = []; // positions of some splats
 
-function openSample(scene) {
-  const all = new Float32Array(scene, 0, 8 * info.n), step = Math.ceil(info.n / 20000) || 1;
-  for (let i = 0; i < info.n; i += step) sample.push([...all.subarray(8 * i, 8 * i + 3)]);
+function openSample(scene, n) {
+  const all = new Float32Array(scene, 0, 8 * n), step = Math.ceil(info.n / 20000) || 1;
+  for (let i = 0; i < n; i += step) sample.push([...all.subarray(8 * i, 8 * i + 3)]);
 }
 
 const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
@@ -369,7 +369,8 @@ function openControls() {
 
 /* The picture is that of the last camera, at full resolution; it is the last unless it moves. */
 async function settled(moves) {
-  while (sorting.busy || scheduled || stale || state.moving || !moves && motion.ticking)
+  while (sorting.loaded < info.n || sorting.busy || scheduled || stale || state.moving ||
+    !moves && motion.ticking)
     await new Promise((done) => setTimeout(done, 5));
 }
 
@@ -382,18 +383,37 @@ function attempt(step) {
   }
 }
 
-function start() {
-  const scene = decode();
-  if (!sorting.worker) {
-    openSample(scene);
-    openControls();
-    openSorter(scene);
-    setExposure(0);
-    if (!openLink()) go(info.first); // the worker sorts meanwhile
+/* Splats of an element of the page, from those on that there are up to `end`. */
+function load(id, end) {
+  const at = sorting.loaded, n = end - at, scene = decode(id, n);
+  if (sorting.sent < end) { // else the driver lost what it had
+    openSample(scene, n);
+    sendPlaces(scene, at, n);
   }
-  fillGpu(scene);
-  sorting.row = null;
+  fillGpu(scene, at, n);
+  sorting.loaded = end;
+}
+
+/* What comes behind the most important splats, once they are seen and the page has been read. */
+function loadRest() {
+  if (!firstPicture || document.readyState === "loading" || sorting.loaded === info.n) return;
+  attempt(() => load("rest", info.n));
   requestSort();
+}
+
+function start() {
+  const again = sorting.worker;
+  if (!again) openSorter();
+  sorting.loaded = 0;
+  load("scene", info.packed ? info.packed.first : info.n);
+  sorting.row = null;
+  if (again) {
+    requestSort();
+    return loadRest();
+  }
+  openControls();
+  setExposure(0);
+  if (!openLink()) go(info.first);
 }
 
 canvas.addEventListener("webglcontextlost", (e) => {
@@ -405,10 +425,11 @@ canvas.addEventListener("webglcontextrestored", () => attempt(() => {
   tell("");
   canvas.style.visibility = "";
   openGpu();
-  if (document.readyState !== "loading") start();
+  if (sorting.worker) start();
 }));
 document.addEventListener("DOMContentLoaded", () => {
-  if (gpu) attempt(start);
+  if (gpu && !sorting.worker) attempt(start); // the page is cut off
+  loadRest();
 });
 window.viewer = { info, state, go, setCamera, setExposure, setTone, compare, hideGuesses,
   showUnseen, draw, radiance, exact, depthAt, settled, firstPicture: () => firstPicture };

@@ -141,7 +141,7 @@ refused "$FILE/one0/view.html" 'cannot sort the splats in a worker: Uncaught .' 
     window.Worker = function (url) {
       const worker = new Own(url), post = worker.postMessage;
       worker.postMessage = function (data) {
-        if (data.mu) data.mu = { length: -3 };
+        if (data.mu) data.at = -1;
         post.call(worker, data);
       };
       return worker;
@@ -392,15 +392,21 @@ printf '200,000 splats: first picture after %.2f s, whole frame of %s px in %.2f
 quiet "200,000 splats"
 rm -rf "$OUT/many"
 
-"$BIN/make_view" "$OUT/million" walls 1000000 || exit 1
+# its most important splats are seen first, then all of them, which is the picture of hdrig render
+scene million walls 1000000 0
 call Emulation.setDeviceMetricsOverride \
     '{"width":360,"height":400,"deviceScaleFactor":1,"mobile":false}'
 open_page "$FILE/million/small.html"
 printf '1,000,000 splats: a page of %d MB, first picture after %.1f s\n' \
     "$(($(stat -c %s "$OUT/million/small.html") / 1000000))" \
     "$(awk "BEGIN { print $(value "viewer.firstPicture()") / 1000 }")"
+is "info.packed.first < 140000 && info.packed.bytes[0] < info.packed.bytes[1] / 5" true
 wait_for "sorting.seen" 1000000
+same_picture million 1 0 40 255 0.01 0.5
 quiet "1,000,000 splats"
-rm -rf "$OUT/million"
+head -c -5000 "$OUT/million/small.html" >"$OUT/cut.html"
+refused "$FILE/cut.html" 'cut off: [0-9]+ of [0-9]+ characters of its scene' ""
+is "sorting.seen > 0 && sorting.seen < 140000" true
+rm -rf "$OUT/million" "$OUT/cut.html"
 browser_close
 finish

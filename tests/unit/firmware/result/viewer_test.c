@@ -248,9 +248,29 @@ static void splats_come_back(void **state)
 
 /* ---- the smaller kind ---- */
 
-static void open_fields(void)
+static double packed_number(const char *key, int k)
 {
-    fields.n = (int)number("n");
+    double v = NAN;
+    const struct cJSON *node = json_member(json_member(info, "packed"), key);
+    if (json_is_array(node))
+        for (node = json_first(node); k > 0; k--)
+            node = json_next(node);
+    assert_true(json_number(node, &v));
+    return v;
+}
+
+/* The first splats, or those behind them. */
+static void open_fields(bool rest)
+{
+    const int first = (int)packed_number("first", 0);
+    if (rest) {
+        size_t n;
+        const char *text = part("<script id=\"rest\" type=\"application/octet-stream\">", &n);
+        blob = realloc(blob, n + 1);
+        blob_bytes = decode(text, n, blob);
+    }
+    assert_int_equal((int)packed_number("bytes", rest), blob_bytes);
+    fields.n = rest ? (int)number("n") - first : first;
     fields.plane = realloc(fields.plane, (size_t)fields.n + 1);
     fields.v = realloc(fields.v, (size_t)fields.n * sizeof *fields.v + 1);
     assert_int_equal(compressed_open(&fields.in, "page", COMPRESSED_GZIP, blob, blob_bytes), OK);
@@ -271,17 +291,6 @@ static void read_field(int bytes, bool signs)
     }
     for (int i = 0; i < fields.n && signs; i++)
         fields.v[i] = fields.v[i] % 2 ? -(fields.v[i] + 1) / 2 : fields.v[i] / 2;
-}
-
-static double packed_number(const char *key, int k)
-{
-    double v = NAN;
-    const struct cJSON *node = json_member(json_member(info, "packed"), key);
-    if (json_is_array(node))
-        for (node = json_first(node); k > 0; k--)
-            node = json_next(node);
-    assert_true(json_number(node, &v));
-    return v;
 }
 
 static double step_of(const char *range, double *lo)
@@ -379,7 +388,7 @@ static void packed_splats_come_back(void **state)
     input.lossless = false;
     make_page();
     assert_true(page_bytes <= viewer_bytes(&input));
-    open_fields();
+    open_fields(false);
     match_positions(match);
     for (int k = 0; k < 3; k++)
         check_steps("scale", match, scene.g.plane[G_LOG_SCALE + k], 1, false);
@@ -419,7 +428,7 @@ static void few_packed_splats(void **state)
     for (int n = 0; n <= SPLATS; n = 2 * n + 1) {
         scene.g.n = n;
         make_page();
-        open_fields();
+        open_fields(false);
         for (int k = 0; k < 3; k++) {
             read_field(3, true);
             for (int i = 0; i < n; i++)
@@ -447,7 +456,7 @@ static void important_splats_come_first(void **state)
     }
     input.lossless = false;
     make_page();
-    open_fields();
+    open_fields(false);
     const int first = (int)packed_number("first", 0);
     assert_true(first >= MANY / 3 && first < MANY / 3 + 10);
     for (int k = 0; k < 3; k++)
@@ -460,6 +469,22 @@ static void important_splats_come_first(void **state)
         large += lo + step * fields.v[i] > -6;
     assert_int_equal(large, MANY / 3);
     compressed_close(&fields.in);
+    open_fields(true);
+    assert_int_equal(fields.n, MANY - first);
+    for (int k = 0; k < 3; k++)
+        read_field(3, true);
+    read_field(2, false);
+    for (int i = 0; i < fields.n; i++)
+        assert_true(lo + step * fields.v[i] < -7.9);
+    for (int k = 1; k < 4; k++)
+        read_field(2, false);
+    for (int k = 0; k < 3; k++)
+        read_field(2, true);
+    read_field(1, false);
+    read_field(2, false);
+    for (int k = 0; k < 2; k++)
+        read_field(2, true);
+    close_fields(); // and nothing else
     arena_free(&a);
 }
 
@@ -612,7 +637,7 @@ static void hostile_texts(void **state)
     make_page();
     for (const char *at = page; (at = strstr(at, "<script")); at++)
         scripts++;
-    assert_int_equal(scripts, 3); // info, scene and the page's own
+    assert_int_equal(scripts, 5); // info, scene, rest and two of the page's own
     assert_null(strstr(page, "alert(1)//\"\\\n"));
     assert_null(strstr(page, "</title><script>"));
     const struct cJSON *view = json_first(json_member(info, "views"));
