@@ -495,8 +495,22 @@ static err_t read_scene(struct state *st, struct request *rq)
 
 /* ---- command ---- */
 
+static err_t list_exposures(const struct state *st, const struct request *rq,
+                            struct evaluate_seen *out)
+{
+    const struct views *v = &st->job.views;
+    char path[FILE_PATH_CAP];
+    for (int i = 0; i < v->n + v->n_more; i++)
+        evaluate_see(out, views_set_log2t(v, i));
+    if (!rq->scene)
+        return OK;
+    err_t e = file_join(rq->scene, "report.json", path); // views are the first ones of places
+    return e ? e : stored_exposures(path, out);
+}
+
 static err_t evaluate_scene(struct state *st, struct request *rq)
 {
+    struct evaluate_seen inputs = {0};
     err_t e = cmd_join(&st->team, "eval", &rq->cfg, &rq->set, &rq->model, &st->engine);
     const bool measures = teamwork_speaks(&st->team);
     if (!measures)
@@ -512,7 +526,9 @@ static err_t evaluate_scene(struct state *st, struct request *rq)
     if (!e && !measures)
         return OK;
     if (!e)
-        e = evaluate_run(&st->engine.run, &st->job, &st->test, out, &st->figures);
+        e = list_exposures(st, rq, &inputs);
+    if (!e)
+        e = evaluate_run(&st->engine.run, &st->job, &st->test, &inputs, out, &st->figures);
     cmd_report_unread(&st->train, &st->job);
     st->job.keep_peak = st->engine.keep.peak;
     st->job.tmp_peak = st->engine.tmp.peak;

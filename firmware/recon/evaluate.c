@@ -38,6 +38,7 @@ struct bench {
     const struct run *r;
     struct job_result *j;
     const struct imageset *test;
+    const struct evaluate_seen *inputs;
     struct outdir *o;
     struct draw draw;
     struct image truth,
@@ -175,14 +176,18 @@ static err_t measure_nearest(struct bench *b, const struct view *v)
     return e;
 }
 
-/* Whether an input photograph has this exposure. */
-static bool is_seen(const struct bench *b, float log2t)
+static bool is_seen(const struct evaluate_seen *s, float log2t)
 {
-    const struct views *inputs = &b->j->views;
-    for (int i = 0; i < inputs->n + inputs->n_more; i++)
-        if (fabsf(views_set_log2t(inputs, i) - log2t) < SAME_EXPOSURE)
+    for (int i = 0; i < s->n; i++)
+        if (fabsf(s->log2t[i] - log2t) < SAME_EXPOSURE)
             return true;
     return false;
+}
+
+void evaluate_see(struct evaluate_seen *s, float log2t)
+{
+    if (s->n < EVALUATE_EXPOSURES && !is_seen(s, log2t))
+        s->log2t[s->n++] = log2t;
 }
 
 static err_t measure_ldr(struct bench *b, const struct shot *s, const struct view *v)
@@ -198,7 +203,7 @@ static err_t measure_ldr(struct bench *b, const struct shot *s, const struct vie
     e = compare_picture(b, &b->draw.display, &b->truth, &one);
     if (e)
         return e;
-    const bool seen = is_seen(b, v->log2t);
+    const bool seen = is_seen(b->inputs, v->log2t);
     add_score(score, &one);
     add_score(&out->ldr, &one);
     add_score(seen ? &out->ldr_seen : &out->ldr_unseen, &one);
@@ -602,9 +607,10 @@ void evaluate_plan(struct plan *p, const struct capture *test, struct prep_size 
 }
 
 err_t evaluate_run(const struct run *r, struct job_result *j, const struct imageset *test,
-                   struct outdir *o, struct evaluate_result *out)
+                   const struct evaluate_seen *inputs, struct outdir *o,
+                   struct evaluate_result *out)
 {
-    struct bench b = {.r = r, .j = j, .test = test, .o = o, .out = out};
+    struct bench b = {.r = r, .j = j, .test = test, .inputs = inputs, .o = o, .out = out};
     const int n = test->capture.n;
     size_t mark = arena_mark(r->tmp);
     memset(out, 0, sizeof *out);

@@ -61,11 +61,21 @@ MUST_USE err_t evaluate_check(const struct capture *test);
 /* Count what evaluate_run takes. cap: room for Gaussians in the scene. */
 void evaluate_plan(struct plan *p, const struct capture *test, struct prep_size size, int cap);
 
+/* Exposures that input photographs have. */
+struct evaluate_seen {
+    int n;
+    float log2t[EVALUATE_EXPOSURES];
+};
+
+/* Add one, if there is none like it; more than there is room for are forgotten. */
+void evaluate_see(struct evaluate_seen *s, float log2t);
+
 /* Render every view of `test` once and measure all of its exposures. Times and warnings go to *j.
  * o:    folder for ldr/NAME.png and hdr/NAME.exr, or NULL.
  * err:  ERR_ARG (a test view without camera), those of evaluate_check, of reading, drawing and
  *       writing, ERR_CANCELLED. */
 MUST_USE err_t evaluate_run(const struct run *r, struct job_result *j, const struct imageset *test,
-                            struct outdir *o, struct evaluate_result *out);
+                            const struct evaluate_seen *inputs, struct outdir *o,
+                            struct evaluate_result *out);
 
 #endif

@@ -4,6 +4,8 @@
 
 #include "core/base/num.h"
 #include "core/sfm/bundle.h"
+#include "drivers/format/file.h"
+#include "drivers/format/json.h"
 
 #include <string.h>
 
@@ -92,4 +94,22 @@ void stored_lenses(const struct rig *rig, const struct capture *inputs, struct j
         *l = lens_of(v, turns_of(inputs, v->name));
         l->photographs = count_photographs(rig, v->camera);
     }
+}
+
+static err_t take_exposures(const char *what, const struct cJSON *doc, void *out)
+{
+    const struct cJSON *list = json_member(doc, "inputs");
+    err_t e = json_is_array(list) ? OK : err_fail(ERR_FORMAT, "%s: no list of inputs", what);
+    for (const struct cJSON *i = e ? NULL : json_first(list); i && !e; i = json_next(i)) {
+        float log2t;
+        e = json_float(what, i, "exposure_log2", &log2t);
+        if (!e)
+            evaluate_see(out, log2t);
+    }
+    return e;
+}
+
+err_t stored_exposures(const char *path, struct evaluate_seen *io)
+{
+    return file_exists(path) ? json_read_with(path, take_exposures, io) : OK;
 }

@@ -73,6 +73,9 @@ for threads in 1 3; do
 done
 succeed eval --data "$OUT/room" --scene "$OUT/threads3" --rig none --json -
 grep -q '"rot_deg_median": [0-9]' "$OUT/stdout.txt" || fail "eval --scene --rig none: no pose"
+seen=$(number "$OUT/stdout.txt" ldr_seen_exposures images)
+[ $((2 * seen)) -eq $((3 * $(number "$OUT/stdout.txt" ldr_unseen_exposures images))) ] ||
+    fail "$seen test pictures have the exposures of inputs: three of five"
 
 # extremes: a scene, or a sentence that says why not
 extreme() { # name arguments of simulate
