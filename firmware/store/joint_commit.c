@@ -318,9 +318,7 @@ static err_t put_exposures(struct work *w)
     char path[FILE_PATH_CAP];
     struct store_fs_file f;
     snprintf(m->name, sizeof m->name, "%s", exposures);
-    err_t e = file_join(w->to.tmp, exposures, path);
-    if (!e)
-        e = store_fs_create(w->s->fs, path, &f);
+    err_t e = store_create(&w->to, exposures, path, &f);
     if (e)
         return e;
     for (int i = 0; i < w->n; i++)
@@ -337,9 +335,7 @@ static err_t put_manifest(struct work *w)
     const struct manifest_lists lists = {w->rig.p, w->cameras.p, w->frames.p};
     char path[FILE_PATH_CAP];
     struct store_fs_file f;
-    err_t e = file_join(w->to.tmp, MANIFEST_FILE, path);
-    if (!e)
-        e = store_fs_create(w->s->fs, path, &f);
+    err_t e = store_create(&w->to, MANIFEST_FILE, path, &f);
     if (e)
         return e;
     manifest_write_joint(f.stream, &w->m, &w->head, &lists);

@@ -46,9 +46,9 @@ bool manifest_picture_is(const char *name, int *camera, int *index)
            *index < BRACKET_EXPOSURES_MAX;
 }
 
-void manifest_mask_name(const struct take_frame *f, char out[MANIFEST_NAME_CAP])
+void manifest_mask_name(int camera, int index, char out[MANIFEST_NAME_CAP])
 {
-    snprintf(out, MANIFEST_NAME_CAP, "masks/train_%02d_%02d.png", f->camera, f->index);
+    snprintf(out, MANIFEST_NAME_CAP, "masks/train_%02d_%02d.png", camera, index);
 }
 
 void manifest_thumb_name(int camera, int index, char out[MANIFEST_NAME_CAP])

@@ -54,7 +54,7 @@ void manifest_picture_name(const struct take *t, const struct take_frame *f,
 /* Camera and exposure of a display picture, by its name without the folder. False: it has none. */
 bool manifest_picture_is(const char *name, int *camera, int *index);
 
-void manifest_mask_name(const struct take_frame *f, char out[MANIFEST_NAME_CAP]);
+void manifest_mask_name(int camera, int index, char out[MANIFEST_NAME_CAP]);
 void manifest_thumb_name(int camera, int index, char out[MANIFEST_NAME_CAP]);
 
 /* Whether a file is a thumbnail, which may be missing or damaged: pages show the picture then. */

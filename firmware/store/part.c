@@ -153,7 +153,7 @@ static err_t check_files(const char *what, const struct raw_take *raw, const str
     int n = 1;
     for (int i = 0; i < p->n; i++) {
         const struct part_frame *f = &p->frame[i];
-        snprintf(name, sizeof name, "masks/train_%02d_%02d.png", f->camera, f->index);
+        manifest_mask_name(f->camera, f->index, name);
         n += raw->camera[f->camera].format == CAMERA_MJPG ? 1 : 2;
         n += is_listed(&p->manifest, name);
         manifest_thumb_name(f->camera, f->index, name);

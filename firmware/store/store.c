@@ -466,6 +466,13 @@ err_t store_name(const struct store *s, const char *id, struct store_new *out)
     return e ? e : file_join(s->path, name, out->tmp);
 }
 
+err_t store_create(const struct store_new *n, const char *name, char path[FILE_PATH_CAP],
+                   struct store_fs_file *out)
+{
+    err_t e = file_join(n->tmp, name, path);
+    return e ? e : store_fs_create(n->s->fs, path, out);
+}
+
 err_t store_show(struct store_new *n)
 {
     err_t e = store_fs_move(n->s->fs, n->tmp, n->path);

@@ -101,7 +101,7 @@ static err_t put_bytes(struct commit *c, const char *name, const void *bytes, si
 static err_t put_mask(struct commit *c, const struct take_frame *f)
 {
     char name[MANIFEST_NAME_CAP], path[FILE_PATH_CAP];
-    manifest_mask_name(f, name);
+    manifest_mask_name(f->camera, f->index, name);
     err_t e = file_join(c->to.tmp, name, path);
     if (!e)
         e = ghosts_write(c->s->fs, c->t, f, path);
@@ -199,9 +199,7 @@ static err_t put_exposures(struct commit *c)
 {
     char path[FILE_PATH_CAP], name[MANIFEST_NAME_CAP];
     struct store_fs_file f;
-    err_t e = file_join(c->to.tmp, "exposure.json", path);
-    if (!e)
-        e = store_fs_create(c->s->fs, path, &f);
+    err_t e = store_create(&c->to, "exposure.json", path, &f);
     if (e)
         return e;
     for (int i = 0; i < c->t->n; i++) {
@@ -218,9 +216,7 @@ static err_t put_manifest(struct commit *c)
 {
     char path[FILE_PATH_CAP];
     struct store_fs_file f;
-    err_t e = file_join(c->to.tmp, MANIFEST_FILE, path);
-    if (!e)
-        e = store_fs_create(c->s->fs, path, &f);
+    err_t e = store_create(&c->to, MANIFEST_FILE, path, &f);
     if (e)
         return e;
     manifest_write(f.stream, &c->s->manifest, c->t);

@@ -71,6 +71,11 @@ struct store_new {
 
 MUST_USE err_t store_name(const struct store *s, const char *id, struct store_new *out);
 
+/* Create a file of it, by its name in the take.
+ * out:  its path, which *out needs. */
+MUST_USE err_t store_create(const struct store_new *n, const char *name, char path[FILE_PATH_CAP],
+                            struct store_fs_file *out);
+
 /* Its folders are synced: give it its name, durably. */
 MUST_USE err_t store_show(struct store_new *n);
 

@@ -118,3 +118,12 @@ screenshot() { # file
     field data | base64 -d >"$1"
     [ -s "$1" ] || fail "no screenshot $1"
 }
+
+# $OUT/hdrig.conf of a daemon with one simulated camera, which listens at SOCKET and PORT.
+page_settings() {
+    SOCKET=$(mktemp -d)/control
+    PORT=$((20000 + $$ % 20000))
+    printf '%s\n' "store.path = $OUT/store" "results.path = $OUT/results" "job.run = 0" \
+        "control.socket = $SOCKET" "http.port = $PORT" "store.reserve_mb = 1" \
+        "camera.1 = sim:kind=room,seed=5,size=56,samples=1,fps=50" >"$OUT/hdrig.conf"
+}

@@ -33,6 +33,16 @@ succeed() { # arguments...
     "$HDRIG" "$@" >"$OUT/stdout.txt" 2>"$ERR" || fail "hdrig $*: $(tail -n 1 "$ERR")"
 }
 
+# Ctrl-C once a line of $ERR begins like that; the exit code is the process's.
+interrupt_at() { # process start
+    for ((k = 0; k < 600; k++)); do
+        grep -q "^$2" "$ERR" && break
+        sleep 0.05
+    done
+    kill -INT "$1"
+    wait "$1"
+}
+
 nothing_at() { # folder: neither a result nor leftovers of one
     [ ! -e "$1" ] || fail "$1 exists"
     local rest

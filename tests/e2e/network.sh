@@ -111,13 +111,7 @@ done
 : >"$ERR" # the former progress must not be taken for the new one
 "$HDRIG" reconstruct "${images[@]}" --model "$OUT/hdr.hdrig" --size 448 --refine 0 \
     --dump "$OUT/dump" --out "$OUT/result" >"$OUT/stdout.txt" 2>"$ERR" &
-pid=$!
-for ((i = 0; i < 300; i++)); do
-    grep -q '^backbone' "$ERR" && break
-    sleep 0.1
-done
-kill -INT $pid
-wait $pid
+interrupt_at $! backbone
 code=$?
 [ $code -eq 130 ] || fail "SIGINT inside the network: exit $code"
 nothing_at "$OUT/result"

@@ -3,11 +3,7 @@
 . tests/e2e/common.bash
 . tests/e2e/browser.bash
 . tests/e2e/axe.bash
-SOCKET=$(mktemp -d)/control
-PORT=$((20000 + $$ % 20000))
-printf '%s\n' "store.path = $OUT/store" "results.path = $OUT/results" "job.run = 0" \
-    "control.socket = $SOCKET" "http.port = $PORT" "store.reserve_mb = 1" \
-    "camera.1 = sim:kind=room,seed=5,size=56,samples=1,fps=50" >"$OUT/hdrig.conf"
+page_settings
 
 is() { # expression value
     [ "$(value "$1")" = "$2" ] || fail "$1 is \"$(value "$1")\", not \"$2\""

@@ -19,13 +19,7 @@ grep -q 'no checkpoint, the job starts from the beginning' "$ERR" || fail "nothi
 
 # Ctrl-C keeps what was done since
 "$HDRIG" "${job[@]}" --resume --out "$result" >"$OUT/stdout.txt" 2>"$ERR" &
-pid=$!
-for ((k = 0; k < 300; k++)); do
-    grep -q '^refine' "$ERR" && break
-    sleep 0.05
-done
-kill -INT $pid
-wait $pid
+interrupt_at $! refine
 [ $? -eq 130 ] || fail "Ctrl-C: no interruption: $(tail -n 1 "$ERR")"
 grep -q 'step [0-9]* is kept in .*: --resume goes on from there' "$ERR" ||
     fail "Ctrl-C: $(tail -n 2 "$ERR")"
