@@ -72,8 +72,15 @@ void guess_smooth(const struct guess_work *g, const struct depthmaps *d, int vie
         }
     }
     for (int i = 0; i < map->w * map->h; i++)
-        rho[i] = is_far(d, map->at + (size_t)i) ? 1.0f / d->depth[map->at + (size_t)i]
-                                                : level[0].px[2 * i] / level[0].px[2 * i + 1];
+        rho[i] = level[0].px[2 * i] / level[0].px[2 * i + 1];
+}
+
+void guess_shell(const struct depthmaps *d, int view, float *rho)
+{
+    const struct extent *map = &d->extent[view];
+    for (size_t i = 0; i < extent_pixels(map); i++)
+        if (is_far(d, map->at + i))
+            rho[i] = 1.0f / d->depth[map->at + i];
 }
 
 /* Summed-area table of the usable pixels of a view over the blocks, per bin: bin k is around

@@ -17,10 +17,13 @@ MUST_USE err_t guess_layout(struct guess_work *g, struct arena *a, const struct 
                             int n);
 
 /* Inverse depth of a view: kept where it is confident, else filled from larger and larger
- * surroundings. out: (h, w) of the map. */
+ * surroundings, as if nothing were infinitely far. out: (h, w) of the map. */
 void guess_smooth(const struct guess_work *g, const struct depthmaps *d, int view, float *rho);
 
-/* After guess_smooth: limit inverse depth to that of the farthest surfaces around each pixel, even
+/* After guess_smooth: what is infinitely far is on the shell. */
+void guess_shell(const struct depthmaps *d, int view, float *rho);
+
+/* After guess_shell: limit inverse depth to that of the farthest surfaces around each pixel, even
  * where it is usable: other views see through the pixels that are left over there. */
 void guess_limit(const struct guess_work *g, const struct depthmaps *d, int view, float *rho);
 

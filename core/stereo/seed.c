@@ -532,6 +532,7 @@ static void guess_depths(struct seed *s)
     for (int i = 0; i < s->in->views->n; i++) {
         float *rho = s->guess + s->in->depth->extent[i].at;
         guess_smooth(&s->work, s->in->depth, i, rho);
+        guess_shell(s->in->depth, i, rho);
         guess_limit(&s->work, s->in->depth, i, rho);
     }
 }
@@ -565,8 +566,10 @@ static err_t seed_all(struct seed *s)
         if (i == n)
             guess_depths(s);
         s->rho = i < n ? s->smooth : s->guess + map->at;
-        if (i < n)
+        if (i < n) {
             guess_smooth(&s->work, s->in->depth, s->order[i], s->rho);
+            guess_shell(s->in->depth, s->order[i], s->rho);
+        }
         for (int y = 0; y < map->h; y += BLOCK) {
             for (int x = 0; x < map->w; x += BLOCK)
                 seed_block(s, s->order[i % n], (const int[2]){x, y}, BLOCK, i < n);

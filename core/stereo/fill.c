@@ -1,0 +1,220 @@
+#include "core/stereo/fill.h"
+
+#include "core/base/num.h"
+
+#include <math.h>
+#include <string.h>
+
+enum {
+    CELL = 4,        // px of the map
+    SEEN_BY = 4,     // views, points
+    OTHERS_MAX = 12, // views whose points are looked at
+};
+
+static const float STOPS = 6.0f; // light and inverse depth are limited to so many around the median
+
+static float limit(float x)
+{
+    return fminf(fmaxf(x, -STOPS), STOPS);
+}
+
+err_t fill_layout(struct fill *f, struct arena *a, const struct extent *maps, int n)
+{
+    const size_t most = extent_cover(maps, n).at;
+    err_t e = guess_layout(&f->guess, a, maps, n);
+    if (!e)
+        e = visibility_layout(&f->vis, a, n);
+    if (!e)
+        e = arena_alloc(a, most, sizeof *f->rho, &f->rho);
+    return e ? e : arena_alloc(a, most, sizeof *f->sort, &f->sort);
+}
+
+void fill_set(struct fill *f, const struct views *v, const struct tonemap *tone,
+              const struct depthmaps *depth)
+{
+    f->views = v;
+    f->depth = depth;
+    response_tabulate(tone, &f->table);
+    visibility_set(&f->vis, depth, v->cams);
+}
+
+/* Light and weight of the pixels of the view that a pixel of the map covers. */
+static void mean_light(const struct fill *f, int view, int i, float *out)
+{
+    const struct extent *px = &f->views->extent[view];
+    const int s = f->depth->scale, w = f->depth->extent[view].w;
+    const uint8_t *rgb = views_rgb(f->views, view);
+    float sum[4] = {0};
+    for (int k = 0; k < s * s; k++) {
+        const int x = i % w * s + k % s, y = i / w * s + k / s;
+        const uint8_t *p = rgb + 3 * ((size_t)y * (size_t)px->w + (size_t)x);
+        for (int c = 0; c < 3; c++) {
+            sum[c] += f->table.x[c][p[c]];
+            sum[FILL_WEIGHT] += f->table.weight[c][p[c]] / 3.0f;
+        }
+    }
+    for (int c = 0; c <= FILL_WEIGHT; c++)
+        out[c] = sum[c] / (float)(s * s);
+}
+
+static void fill_light(struct fill *f, int view, float *out)
+{
+    const size_t n = extent_pixels(&f->depth->extent[view]);
+    for (size_t i = 0; i < n; i++) {
+        float *p = out + i * FILL_INPUT;
+        mean_light(f, view, (int)i, p);
+        f->sort[i] = (p[0] + p[1] + p[2]) / 3.0f;
+    }
+    const float middle = num_median(f->sort, n);
+    for (size_t i = 0; i < 3 * n; i++)
+        out[i / 3 * FILL_INPUT + i % 3] = limit(out[i / 3 * FILL_INPUT + i % 3] - middle) / 3.0f;
+}
+
+/* Median of log2 of the inverse depth where it is usable, else of all guesses. */
+static float middle_rho(struct fill *f, int view)
+{
+    const struct extent *map = &f->depth->extent[view];
+    const size_t all = extent_pixels(map);
+    size_t n = 0;
+    for (size_t i = 0; i < all; i++)
+        if (f->depth->conf[map->at + i] >= SWEEP_CONF_USABLE &&
+            !(f->depth->far && f->depth->far[map->at + i]))
+            f->sort[n++] = -log2f(f->depth->depth[map->at + i]);
+    for (size_t i = 0; n == 0 && i < all; i++)
+        f->sort[i] = log2f(f->rho[i]);
+    return num_median(f->sort, n ? n : all);
+}
+
+static void fill_depth(const struct fill *f, int view, float middle, float *out)
+{
+    const struct extent *map = &f->depth->extent[view];
+    const struct camera *c = &f->views->cams[view];
+    const float s = (float)f->depth->scale;
+    for (size_t i = 0; i < extent_pixels(map); i++) {
+        const size_t at = map->at + i;
+        const bool far = f->depth->far && f->depth->far[at];
+        float *p = out + i * FILL_INPUT;
+        p[FILL_CONF] = f->depth->conf[at];
+        p[FILL_USABLE] = !far && p[FILL_CONF] >= SWEEP_CONF_USABLE;
+        p[FILL_STEREO] = limit(-log2f(f->depth->depth[at]) - middle) / 2.0f;
+        p[FILL_FAR] = far;
+        p[FILL_GUESS] = limit(log2f(f->rho[i]) - middle) / 2.0f;
+        p[FILL_RAY] = (((float)((int)i % map->w) + 0.5f) * s - c->cx) / c->fx;
+        p[FILL_RAY + 1] = (((float)((int)i / map->w) + 0.5f) * s - c->cy) / c->fy;
+    }
+}
+
+/* Number of other views, up to SEEN_BY, in whose pictures the guess at pixel x, y is. */
+static int count_seen(const struct fill *f, int view, int x, int y)
+{
+    const float s = (float)f->depth->scale;
+    const float uvz[3] = {((float)x + 0.5f) * s, ((float)y + 0.5f) * s,
+                          1.0f / f->rho[y * f->depth->extent[view].w + x]};
+    float point[3];
+    struct projected p;
+    int seen = 0;
+    visibility_unproject(&f->vis, view, uvz, point);
+    for (int j = 0; j < f->depth->n && seen < SEEN_BY; j++)
+        seen += j != view && visibility_project(&f->vis, j, point, &p);
+    return seen;
+}
+
+/* Once per cell: it changes slowly. */
+static void fill_seen(const struct fill *f, int view, float *out)
+{
+    const struct extent *map = &f->depth->extent[view];
+    const int across = (map->w + CELL - 1) / CELL, down = (map->h + CELL - 1) / CELL;
+    for (int k = 0; k < across * down; k++) {
+        const int x0 = k % across * CELL, y0 = k / across * CELL;
+        const float seen = (float)count_seen(f, view, num_min(x0 + CELL / 2, map->w - 1),
+                                             num_min(y0 + CELL / 2, map->h - 1)) /
+                           SEEN_BY;
+        for (int i = 0; i < CELL * CELL; i++) {
+            const int x = x0 + i % CELL, y = y0 + i / CELL;
+            if (x < map->w && y < map->h)
+                out[(y * map->w + x) * FILL_INPUT + FILL_SEEN] = seen;
+        }
+    }
+}
+
+/* ---- what other views have measured ---- */
+
+static float centre_distance(const struct fill *f, int a, int b)
+{
+    float p[2][3], sum = 0;
+    const int view[2] = {a, b};
+    for (int k = 0; k < 2; k++) {
+        const float *r = f->vis.rotation[view[k]], *t = f->vis.cams[view[k]].t;
+        for (int c = 0; c < 3; c++)
+            p[k][c] = r[c] * t[0] + r[3 + c] * t[1] + r[6 + c] * t[2];
+    }
+    for (int c = 0; c < 3; c++)
+        sum += (p[0][c] - p[1][c]) * (p[0][c] - p[1][c]);
+    return sum;
+}
+
+/* Whether view j is one of the OTHERS_MAX nearest ones. */
+static bool is_near(const struct fill *f, int view, int j)
+{
+    float d[2];
+    int nearer = 0;
+    d[0] = centre_distance(f, view, j);
+    for (int k = 0; k < f->depth->n && nearer < OTHERS_MAX; k++) {
+        d[1] = centre_distance(f, view, k);
+        nearer += k != view && k != j && (d[1] < d[0] || (d[1] == d[0] && k < j));
+    }
+    return j != view && nearer < OTHERS_MAX;
+}
+
+/* A point of another view in the input of this one; inverse depths as they are. */
+static void add_point(const struct projected *p, const struct extent *map, float *out)
+{
+    float *to = out + (p->at - map->at) * FILL_INPUT;
+    const float rho = 1.0f / p->z;
+    to[FILL_NEAREST] = fmaxf(to[FILL_NEAREST], rho);
+    to[FILL_FARTHEST] = to[FILL_OTHERS] > 0 ? fminf(to[FILL_FARTHEST], rho) : rho;
+    to[FILL_OTHERS] = fminf(to[FILL_OTHERS] + 1.0f / SEEN_BY, 1.0f);
+}
+
+static void add_view(const struct fill *f, int view, int j, float *out)
+{
+    const struct extent *from = &f->depth->extent[j], *map = &f->depth->extent[view];
+    const float s = (float)f->depth->scale;
+    for (size_t i = 0; i < extent_pixels(from); i++) {
+        const size_t at = from->at + i;
+        const float uvz[3] = {((float)((int)i % from->w) + 0.5f) * s,
+                              ((float)((int)i / from->w) + 0.5f) * s, f->depth->depth[at]};
+        float point[3];
+        struct projected p;
+        if (!visibility_confident(&f->vis, at) || (f->depth->far && f->depth->far[at]))
+            continue;
+        visibility_unproject(&f->vis, j, uvz, point);
+        if (visibility_project(&f->vis, view, point, &p))
+            add_point(&p, map, out);
+    }
+}
+
+static void fill_others(const struct fill *f, int view, float middle, float *out)
+{
+    const size_t n = extent_pixels(&f->depth->extent[view]);
+    for (size_t i = 0; i < n; i++)
+        memset(out + i * FILL_INPUT + FILL_NEAREST, 0, (FILL_INPUT - FILL_NEAREST) * sizeof *out);
+    for (int j = 0; j < f->depth->n; j++)
+        if (is_near(f, view, j))
+            add_view(f, view, j, out);
+    for (size_t i = 0; i < n; i++) {
+        float *p = out + i * FILL_INPUT;
+        for (int k = FILL_NEAREST; k <= FILL_FARTHEST && p[FILL_OTHERS] > 0; k++)
+            p[k] = limit(log2f(p[k]) - middle) / 2.0f;
+    }
+}
+
+void fill_input(struct fill *f, int view, float *out)
+{
+    guess_smooth(&f->guess, f->depth, view, f->rho);
+    const float middle = middle_rho(f, view);
+    fill_light(f, view, out);
+    fill_depth(f, view, middle, out);
+    fill_seen(f, view, out);
+    fill_others(f, view, middle, out);
+}

@@ -1,0 +1,50 @@
+/* fill.h - what the completion branch of the network (core/net/complete.h) is told about a view, and
+ * its answer taken into the depth maps.
+ * Pure computation; thread: any, a workspace belongs to one at a time. */
+#ifndef STEREO_FILL_H
+#define STEREO_FILL_H
+
+#include "core/stereo/guess.h"
+#include "core/stereo/visibility.h"
+
+#include "core/photo/response.h"
+
+/* Numbers of a pixel. Inverse depth is in log2 over the median of the usable pixels of the view. */
+enum {
+    FILL_LIGHT,          // 3: log2 of radiance over the median of the view, a third of the stops
+    FILL_WEIGHT = 3,     // 0: black or saturated .. 1: accurate
+    FILL_USABLE,         // 1: stereo has a usable depth
+    FILL_CONF,           // confidence of stereo
+    FILL_STEREO,         // inverse depth of stereo, half
+    FILL_FAR,            // 1: sees what is infinitely far
+    FILL_GUESS,          // inverse depth of guess_smooth, half
+    FILL_RAY,            // 2: x / z and y / z of the ray
+    FILL_SEEN = 11,      // share of four other views that have the guess in their picture
+    FILL_NEAREST,        // inverse depth, half, of the nearest confirmed point that others have here,
+    FILL_FARTHEST,       // of the farthest one; 0: none has
+    FILL_OTHERS,         // share of four such points
+    FILL_INPUT
+};
+
+struct fill {
+    const struct views *views;     // with cameras; those of the maps
+    const struct depthmaps *depth; // from sweep_run and far_run
+    struct response_table table;
+    struct guess_work guess;
+    struct visibility vis;
+    float *rho;  // (pixels of the largest map) inverse depth of guess_smooth
+    float *sort; // as many
+};
+
+/* Memory for any of n maps.
+ * err:  ERR_NOMEM. */
+MUST_USE err_t fill_layout(struct fill *f, struct arena *a, const struct extent *maps, int n);
+
+/* All must outlive *f. */
+void fill_set(struct fill *f, const struct views *v, const struct tonemap *tone,
+              const struct depthmaps *depth);
+
+/* What is known of a view. out: (h, w, FILL_INPUT) of its map. f->rho is that of the view then. */
+void fill_input(struct fill *f, int view, float *out);
+
+#endif
