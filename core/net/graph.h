@@ -10,7 +10,7 @@
 enum {
     NET_FLOAT_BLOCKS = 1,    // products of the transformer blocks
     NET_FLOAT_ATTENTION = 2, // q k^T and p v
-    NET_FLOAT_HEADS = 4,     // DPT trunks, appearance, Gaussian head, hypernetwork
+    NET_FLOAT_HEADS = 4,     // DPT trunks, appearance, Gaussian head, hypernetwork, completion
     NET_FLOAT_SPECIAL = 8,   // products of the camera and register tokens
     NET_FLOAT_ALL = 15
 };
@@ -57,6 +57,11 @@ struct meta_weights { // core/net/README.md 2.10
     struct mlp_weights out;
 };
 
+struct complete_weights { // core/net/README.md 2.14
+    struct weight down[NET_COMPLETE], stay[NET_COMPLETE][NET_STAY_MAX];
+    struct weight up[NET_COMPLETE - 1], join[NET_COMPLETE - 1], out;
+};
+
 struct net {
     struct net_dims d;
     unsigned floats; // NET_FLOAT_ bits in force; all of them unless the model is I8
@@ -75,6 +80,7 @@ struct net {
     struct mlp_weights gauss_out; // hdr_conv, or AnySplat's own output_conv2
     struct appearance_weights appearance;
     struct meta_weights meta;
+    struct complete_weights complete;
 };
 
 /* Tokens after the backbone, of the views that are dealt to this rank: without a team of all.

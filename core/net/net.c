@@ -184,6 +184,21 @@ static void bind_gauss(struct binder *b, struct net *n)
     }
 }
 
+static void bind_complete(struct binder *b, struct complete_weights *w)
+{
+    const char *h = "encoder.complete";
+    for (int l = 0; l < NET_COMPLETE; l++) {
+        bind_weight(b, &w->down[l], "%s.down.%d", h, l);
+        for (int k = 0; k < table_complete_stay[l]; k++)
+            bind_weight(b, &w->stay[l][k], "%s.stay.%d.%d", h, l, k);
+    }
+    for (int l = 0; l < NET_COMPLETE - 1; l++) {
+        bind_weight(b, &w->up[l], "%s.up.%d", h, l);
+        bind_weight(b, &w->join[l], "%s.join.%d", h, l);
+    }
+    bind_weight(b, &w->out, "%s.out", h);
+}
+
 err_t net_bind(const struct model *m, unsigned floats, struct net *out)
 {
     struct binder b = {.m = m};
@@ -198,6 +213,8 @@ err_t net_bind(const struct model *m, unsigned floats, struct net *out)
     bind_weight(&b, &out->depth_out.b, "%s.scratch.output_conv2.2", depth);
     if (out->d.gauss)
         bind_gauss(&b, out);
+    if (out->d.complete)
+        bind_complete(&b, &out->complete);
     return b.e;
 }
 

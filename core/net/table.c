@@ -53,6 +53,9 @@ const struct net_dims table_mini = {
     .rope_bf16 = false,
 };
 
+const int table_complete_width[NET_COMPLETE] = {32, 48, 64, 96, 128, 128};
+const int table_complete_stay[NET_COMPLETE] = {0, 1, 1, NET_STAY_MAX, 1, NET_STAY_MAX};
+
 /* ---- dimensions ---- */
 
 static err_t check_range(const char *what, int v, int step, int max)
@@ -222,6 +225,8 @@ static const char *const exact_products[] = {
     "encoder.hdr_conv.",
     "encoder.generate_tonemapper.exp_proj.",
     "encoder.generate_tonemapper.out.",
+    "encoder.complete.down.0.",
+    "encoder.complete.out.",
     NULL,
 };
 
@@ -408,6 +413,22 @@ static void walk_tone_mapper(struct walk *w)
     emit_pair(w, shape_2d(NET_THETA, c), NET_THETA, "%s.out.2", h);
 }
 
+static void walk_complete(struct walk *w)
+{
+    const char *h = "encoder.complete";
+    const int *c = table_complete_width;
+    for (int l = 0; l < NET_COMPLETE; l++)
+        emit_pair(w, shape_4d(c[l], l ? c[l - 1] : NET_COMPLETE_IN, 3), c[l], "%s.down.%d", h, l);
+    for (int l = 0; l < NET_COMPLETE; l++)
+        for (int k = 0; k < table_complete_stay[l]; k++)
+            emit_pair(w, shape_4d(c[l], c[l], 3), c[l], "%s.stay.%d.%d", h, l, k);
+    for (int l = 0; l < NET_COMPLETE - 1; l++)
+        emit_pair(w, shape_4d(c[l], c[l + 1], 1), c[l], "%s.up.%d", h, l);
+    for (int l = 0; l < NET_COMPLETE - 1; l++)
+        emit_pair(w, shape_4d(c[l], c[l], 3), c[l], "%s.join.%d", h, l);
+    emit_pair(w, shape_4d(NET_COMPLETE_OUT, c[0], 3), NET_COMPLETE_OUT, "%s.out", h);
+}
+
 err_t table_walk(const struct net_dims *d, tensor_fn *fn, void *ctx)
 {
     struct walk w = {d, fn, ctx, OK};
@@ -420,6 +441,8 @@ err_t table_walk(const struct net_dims *d, tensor_fn *fn, void *ctx)
         walk_hdr_head(&w);
         walk_tone_mapper(&w);
     }
+    if (d->complete)
+        walk_complete(&w);
     return w.e;
 }
 

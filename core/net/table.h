@@ -21,7 +21,11 @@ enum {
     NET_RAW = 84, // channels of the Gaussian head: logit, scale 3, rotation 4, SH 75, confidence
     NET_SENSITIVITY = 4,
     NET_THETA = 1926, // outputs of the hypernetwork; the first TONE_PARAMS are used
-    NET_POSE = 9      // translation 3, quaternion xyzw 4, vertical and horizontal field of view
+    NET_POSE = 9,     // translation 3, quaternion xyzw 4, vertical and horizontal field of view
+    NET_COMPLETE = 6, // levels of the completion branch
+    NET_COMPLETE_IN = 12,
+    NET_COMPLETE_OUT = 3,
+    NET_STAY_MAX = 2 // residual convolutions of a level of it
 };
 
 /* Dimensions, keys of the same name in the file's configuration. Checked by table_check. */
@@ -40,10 +44,14 @@ struct net_dims {
     float voxel; // scene units, cell of the voxel fusion
     bool gauss, appearance; // has the Gaussian head; has the HDR modules (InstantHDR, not AnySplat)
     bool rope_bf16; // angles rounded to bf16 as in the released training (core/net/README.md 1.2)
+    bool complete;  // has the completion branch (core/net/README.md 2.14)
 };
 
 /* Dimensions of the release (core/net/README.md 3.1) and of golden/mini. */
 extern const struct net_dims table_full, table_mini;
+
+/* Of the levels of the completion branch: channels, residual convolutions. */
+extern const int table_complete_width[NET_COMPLETE], table_complete_stay[NET_COMPLETE];
 
 /* err:  ERR_FORMAT names the dimension, its value and its bound. */
 MUST_USE err_t table_check(const struct net_dims *d);

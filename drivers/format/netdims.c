@@ -4,7 +4,8 @@
 
 #include <math.h>
 
-enum kind { WHOLE, LIST, REAL, TRUTH };
+/* ADDED: a truth that older files have not; it is written where it is true. */
+enum kind { WHOLE, LIST, REAL, TRUTH, ADDED };
 
 static const struct member {
     const char *key;
@@ -30,6 +31,7 @@ static const struct member {
     {"gauss", TRUTH, offsetof(struct net_dims, gauss)},
     {"appearance", TRUTH, offsetof(struct net_dims, appearance)},
     {"rope_bf16", TRUTH, offsetof(struct net_dims, rope_bf16)},
+    {"complete", ADDED, offsetof(struct net_dims, complete)},
 };
 
 enum { N_MEMBERS = sizeof members / sizeof members[0] };
@@ -78,7 +80,7 @@ err_t netdims_read(const char *what, const struct cJSON *object, bool all, struc
 {
     for (int k = 0; k < N_MEMBERS; k++) {
         const struct cJSON *v = json_member(object, members[k].key);
-        if (!v && all)
+        if (!v && all && members[k].kind != ADDED)
             return err_fail(ERR_FORMAT, "%s: dimension %s is missing", what, members[k].key);
         err_t e = v ? get_member(what, &members[k], v, (char *)d + members[k].at) : OK;
         if (e)
@@ -104,8 +106,11 @@ static void put_member(FILE *f, const struct member *m, const void *from)
 void netdims_put(FILE *f, const struct net_dims *d)
 {
     for (int k = 0; k < N_MEMBERS; k++) {
+        const void *from = (const char *)d + members[k].at;
+        if (members[k].kind == ADDED && !*(const bool *)from)
+            continue;
         fprintf(f, "%s\"%s\":", k ? "," : "{", members[k].key);
-        put_member(f, &members[k], (const char *)d + members[k].at);
+        put_member(f, &members[k], from);
     }
     putc('}', f);
 }

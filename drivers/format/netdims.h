@@ -11,7 +11,8 @@
 struct cJSON;
 
 /* Read the members of an object into *d. Others are ignored; one that is missing is an error if
- * `all`, else it leaves *d as it was. `what` begins the sentence. Runs table_check.
+ * `all`, else it leaves *d as it was; so does `complete` in any case, which older files have not.
+ * `what` begins the sentence. Runs table_check.
  * err:  ERR_FORMAT. */
 MUST_USE err_t netdims_read(const char *what, const struct cJSON *object, bool all,
                             struct net_dims *d);

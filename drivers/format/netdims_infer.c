@@ -82,6 +82,7 @@ err_t netdims_infer_run(const struct checkpoint *c, struct net_dims *out)
         e = infer_trunk(c, "encoder.depth_head", &d.depth_feat, d.depth_oc);
     d.gauss = checkpoint_find(c, "encoder.gaussian_param_head.norm.weight") != NULL;
     d.appearance = checkpoint_find(c, "encoder.hdr_head.patch_embed.weight") != NULL;
+    d.complete = checkpoint_find(c, "encoder.complete.out.weight") != NULL;
     if (!e && d.gauss) {
         d.size = table_full.size;
         e = infer_trunk(c, "encoder.gaussian_param_head", &d.gs_feat, d.gs_oc);

@@ -252,12 +252,12 @@ static inline double ref_source(int i, int in, int out, bool align)
     return fmax((i + 0.5) * in / out - 0.5, 0);
 }
 
-static inline struct ref_map ref_resize(const struct ref_map *in, int edge, bool align)
+static inline struct ref_map ref_resize_to(const struct ref_map *in, int h, int w, bool align)
 {
-    struct ref_map out = ref_new(edge, edge, in->c);
-    for (int y = 0; y < edge; y++)
-        for (int x = 0; x < edge; x++) {
-            double v = ref_source(y, in->h, edge, align), u = ref_source(x, in->w, edge, align);
+    struct ref_map out = ref_new(h, w, in->c);
+    for (int y = 0; y < h; y++)
+        for (int x = 0; x < w; x++) {
+            double v = ref_source(y, in->h, h, align), u = ref_source(x, in->w, w, align);
             int y0 = (int)v, x0 = (int)u;
             int y1 = y0 + 1 < in->h ? y0 + 1 : y0, x1 = x0 + 1 < in->w ? x0 + 1 : x0;
             for (int c = 0; c < in->c; c++)
@@ -267,6 +267,11 @@ static inline struct ref_map ref_resize(const struct ref_map *in, int edge, bool
                                                     (u - x0) * ref_at(in, y1, x1)[c]);
         }
     return out;
+}
+
+static inline struct ref_map ref_resize(const struct ref_map *in, int edge, bool align)
+{
+    return ref_resize_to(in, edge, edge, align);
 }
 
 /* Layer norm over the channels, eps 1e-5. */
