@@ -153,6 +153,37 @@ static void older_networks_are_parts_of_it(void **state)
     assert_int_equal(find(&vggt, "").n, 2 + 344 + 432 + 432 + 69 + 62);
 }
 
+static void a_completion_branch_comes_last(void **state)
+{
+    static const struct {
+        const char *name;
+        int shape[3];
+        bool exact;
+    } known[] = {
+        {"encoder.complete.down.0.weight", {32, 12, 3}, true},
+        {"encoder.complete.down.5.weight", {128, 128, 3}, false},
+        {"encoder.complete.stay.3.1.weight", {96, 96, 3}, false},
+        {"encoder.complete.up.0.weight", {32, 48, 1}, false},
+        {"encoder.complete.join.4.weight", {128, 128, 3}, false},
+        {"encoder.complete.out.weight", {3, 32, 3}, true},
+    };
+    struct net_dims d = table_full;
+    (void)state;
+    d.complete = true;
+    assert_int_equal(table_check(&d), OK);
+    for (size_t k = 0; k < sizeof known / sizeof known[0]; k++) {
+        const struct search s = find(&d, known[k].name);
+        assert_int_equal(s.n, 1456 + 2 * (6 + 7 + 5 + 5 + 1));
+        assert_int_equal(s.found, 1);
+        assert_true(s.t.rank == 4 && s.t.role == ROLE_CONV && s.t.used);
+        assert_int_equal(s.t.exact, known[k].exact);
+        for (int i = 0; i < 4; i++)
+            assert_int_equal(s.t.shape[i], known[k].shape[i < 3 ? i : 2]);
+    }
+    assert_int_equal(find(&d, "encoder.complete.stay.0.0.weight").found, 0);
+    assert_int_equal(find(&table_full, "encoder.complete.out.weight").found, 0);
+}
+
 /* Every source is met once, and the product computes what the convolution does. */
 static void sources_are_a_permutation(void **state)
 {
@@ -231,6 +262,7 @@ int main(void)
         cmocka_unit_test(every_tensor_of_the_release_is_there_in_order),
         cmocka_unit_test(roles_follow_from_names_and_shapes),
         cmocka_unit_test(older_networks_are_parts_of_it),
+        cmocka_unit_test(a_completion_branch_comes_last),
         cmocka_unit_test(sources_are_a_permutation),
         cmocka_unit_test(dimensions_are_checked),
     };

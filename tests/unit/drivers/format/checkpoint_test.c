@@ -587,7 +587,7 @@ static int by_name(const void *a, const void *b)
 static err_t infer(const struct net_dims *d, const char *without, struct net_dims *out)
 {
     struct listing l = {.without = without, .c = {.what = "f"}};
-    l.c.tensors = calloc(1500, sizeof *l.c.tensors);
+    l.c.tensors = calloc(1600, sizeof *l.c.tensors);
     assert_int_equal(table_walk(d, list, &l), OK);
     qsort(l.c.tensors, (size_t)l.c.n, sizeof *l.c.tensors, by_name);
     err_t e = netdims_infer_run(&l.c, out);
@@ -598,7 +598,7 @@ static err_t infer(const struct net_dims *d, const char *without, struct net_dim
 static void dimensions_follow_from_shapes(void **state)
 {
     (void)state;
-    struct net_dims d, splat = table_full, vggt = table_full;
+    struct net_dims d, splat = table_full, vggt = table_full, complete = table_full;
     assert_int_equal(infer(&table_full, NULL, &d), OK);
     assert_memory_equal(&d, &table_full, sizeof d);
     splat.appearance = false;
@@ -610,6 +610,9 @@ static void dimensions_follow_from_shapes(void **state)
     vggt.size = 518;
     assert_int_equal(infer(&vggt, NULL, &d), OK);
     assert_memory_equal(&d, &vggt, sizeof d);
+    complete.complete = true;
+    assert_int_equal(infer(&complete, NULL, &d), OK);
+    assert_memory_equal(&d, &complete, sizeof d);
     assert_int_equal(infer(&table_mini, NULL, &d), ERR_UNSUPPORTED);
     assert_non_null(strstr(err_text(), "6 frame blocks"));
     assert_int_equal(infer(&table_full, "encoder.aggregator.camera_token", &d), ERR_FORMAT);

@@ -40,10 +40,13 @@ static err_t fetch(void *ctx, const struct run *r, const struct tensor_spec *t, 
     return OK;
 }
 
+static bool completes; // the network has the completion branch
+
 static err_t write_model(const char *path, enum precision p, int threads)
 {
     struct pool *pool = NULL;
-    const struct modelwrite w = {tiny_net, p, "hashed 1", "none", fetch, NULL};
+    struct modelwrite w = {tiny_net, p, "hashed 1", "none", fetch, NULL};
+    w.dims.complete = completes;
     assert_int_equal(pool_open(&pool, threads), OK);
     arena_free(&tmp);
     assert_int_equal(arena_init(&tmp, "tmp", modelwrite_need(&w, threads)), OK);
@@ -180,6 +183,27 @@ static void what_is_written_is_read(void **state)
         assert_int_equal(model_weight(&m.model, "encoder.depth_head.norm", &w), ERR_FORMAT);
         modelfile_close(&m);
     }
+}
+
+/* A file without the branch is as it was before there was one. */
+static void a_completion_branch_is_kept(void **state)
+{
+    const char *path = tmpdir_path("model.hdrig");
+    (void)state;
+    for (int k = 0; k < 2; k++) {
+        struct modelfile m;
+        struct weight w;
+        completes = k == 1;
+        assert_int_equal(write_model(path, PRECISION_S8, 2), OK);
+        assert_int_equal(modelfile_open(path, &m), OK);
+        assert_true(m.model.dims.complete == completes);
+        assert_true(!memmem(m.model.map, m.head.data, "complete", 8) == !completes);
+        assert_int_equal(model_weight(&m.model, "encoder.complete.up.2", &w),
+                         completes ? OK : ERR_FORMAT);
+        assert_true(!completes || (w.n == 64 && w.segs == 1 && w.seg == 96));
+        modelfile_close(&m);
+    }
+    completes = false;
 }
 
 static void threads_do_not_change_a_byte(void **state)
@@ -447,6 +471,7 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(what_is_written_is_read),
+        cmocka_unit_test(a_completion_branch_is_kept),
         cmocka_unit_test(threads_do_not_change_a_byte),
         cmocka_unit_test(failed_writing_leaves_what_was_there),
         cmocka_unit_test(hostile_headers_are_refused),
