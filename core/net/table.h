@@ -23,7 +23,7 @@ enum {
     NET_THETA = 1926, // outputs of the hypernetwork; the first TONE_PARAMS are used
     NET_POSE = 9,     // translation 3, quaternion xyzw 4, vertical and horizontal field of view
     NET_COMPLETE = 6, // levels of the completion branch
-    NET_COMPLETE_IN = 12,
+    NET_COMPLETE_IN = 15,
     NET_COMPLETE_OUT = 3,
     NET_STAY_MAX = 2 // residual convolutions of a level of it
 };

@@ -1,6 +1,8 @@
 #include "core/stereo/fill.h"
 
 #include "core/base/num.h"
+#include "core/base/shell.h"
+#include "core/stereo/far.h"
 
 #include <math.h>
 #include <string.h>
@@ -12,6 +14,8 @@ enum {
 };
 
 static const float STOPS = 6.0f; // light and inverse depth are limited to so many around the median
+
+static float SURE = -3.0f, GUESSED = 0.29f, NOT_FAR = -1.0f, IS_FAR = 1.0f;
 
 static float limit(float x)
 {
@@ -217,4 +221,40 @@ void fill_input(struct fill *f, int view, float *out)
     fill_depth(f, view, middle, out);
     fill_seen(f, view, out);
     fill_others(f, view, middle, out);
+}
+
+/* ---- the answer ---- */
+
+/* A depth that the branch is sure of is usable, but not confirmed; any other is a better guess. */
+static float confidence_of(float log_spread)
+{
+    return log_spread < SURE ? SWEEP_CONF_USABLE : GUESSED;
+}
+
+/* Whether a pixel sees the shell: what light says holds unless the branch is sure of the opposite. */
+static bool sees_shell(bool was, float logit)
+{
+    return was ? logit > NOT_FAR : logit > IS_FAR;
+}
+
+void fill_take(struct fill *f, int view, const float *answer, struct depthmaps *d)
+{
+    const struct extent *map = &d->extent[view];
+    const struct shell shell = shell_of(f->views->cams, f->views->n);
+    const float s = (float)d->scale;
+    guess_smooth(&f->guess, d, view, f->rho);
+    for (size_t i = 0; i < extent_pixels(map); i++, answer += FILL_ANSWER) {
+        const size_t at = map->at + i;
+        const bool was = d->far && d->far[at];
+        const bool far = d->far && sees_shell(was, answer[FILL_IS_FAR]);
+        if (far == was && (far || d->conf[at] >= SWEEP_CONF_USABLE))
+            continue;
+        if (d->far)
+            d->far[at] = far;
+        d->depth[at] = far ? shell_depth(&shell, &f->views->cams[view],
+                                         ((float)((int)i % map->w) + 0.5f) * s,
+                                         ((float)((int)i / map->w) + 0.5f) * s)
+                           : 1.0f / (f->rho[i] * exp2f(limit(answer[FILL_RESIDUAL])));
+        d->conf[at] = far ? FAR_CONF : confidence_of(answer[FILL_SPREAD]);
+    }
 }

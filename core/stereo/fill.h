@@ -9,7 +9,7 @@
 
 #include "core/photo/response.h"
 
-/* Numbers of a pixel. Inverse depth is in log2 over the median of the usable pixels of the view. */
+/* What is known of a pixel. Inverse depth is in log2 over the median of the usable pixels of the view. */
 enum {
     FILL_LIGHT,          // 3: log2 of radiance over the median of the view, a third of the stops
     FILL_WEIGHT = 3,     // 0: black or saturated .. 1: accurate
@@ -46,5 +46,17 @@ void fill_set(struct fill *f, const struct views *v, const struct tonemap *tone,
 
 /* What is known of a view. out: (h, w, FILL_INPUT) of its map. f->rho is that of the view then. */
 void fill_input(struct fill *f, int view, float *out);
+
+/* What the branch says of a pixel. */
+enum {
+    FILL_RESIDUAL, // log2 of the inverse depth over guess_smooth
+    FILL_SPREAD,   // natural logarithm of b of a Laplace distribution of that residual
+    FILL_IS_FAR,   // logit: it sees what is infinitely far
+    FILL_ANSWER
+};
+
+/* Take it into the maps where stereo is not sure, after fill_input of all views.
+ * answer: (h, w, FILL_ANSWER) of the map of the view. d: that of fill_set. */
+void fill_take(struct fill *f, int view, const float *answer, struct depthmaps *d);
 
 #endif

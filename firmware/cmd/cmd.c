@@ -247,7 +247,7 @@ err_t cmd_shipped(const struct cmd_model *m, const struct capture *c, struct net
                   const struct network **out)
 {
     char path[FILE_PATH_CAP];
-    if (m->path || c->n == 0 || c->shots[0].has_camera || !network_shipped(path))
+    if (m->path || c->n == 0 || !network_shipped(path))
         return OK;
     *out = own;
     return network_open(path, NULL, 0, own);

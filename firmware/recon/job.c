@@ -331,7 +331,7 @@ err_t job_plan(const struct capture *c, const struct job_config *cfg, int thread
     if (e)
         return e;
     *out = (struct job_memory){.pictures = imageset_bytes(c, cfg->source ? threads : c->n),
-                               .weights = recipe.network ? cfg->network->file.model.bytes : 0,
+                               .weights = recipe.network || recipe.complete ? cfg->network->file.model.bytes : 0,
                                .keep = p.keep.peak,
                                .tmp = p.tmp.peak};
     return OK;

@@ -77,6 +77,7 @@ struct recipe recipe_choose(const struct capture *c, const struct job_config *cf
     struct recipe out = {.depth = stereo ? RECIPE_STEREO : RECIPE_NETWORK,
                          .gaussians = gaussians ? RECIPE_NETWORK : RECIPE_SEEDS,
                          .network = cfg->network && !(stereo && known),
+                         .complete = stereo && cfg->network && cfg->network->net.d.complete,
                          .forward = recipe_forward(cfg),
                          .tapped = tapped,
                          .square = !stereo || cfg->square,

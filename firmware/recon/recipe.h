@@ -51,6 +51,7 @@ enum recipe_source {
 struct recipe {
     enum recipe_source cameras, depth, gaussians;
     bool network;    // it runs: for cameras, depth or Gaussians
+    bool complete;   // its completion branch runs: for depth where stereo is not sure
     bool bundle;     // bundle adjustment: for cameras, or, where they are given, for the scale of
                      // the network's depth
     bool must_place; // views that bundle adjustment cannot place have no other camera

@@ -3,6 +3,7 @@
 #include "firmware/recon/start.h"
 
 #include "firmware/base/engine.h"
+#include "firmware/recon/completion.h"
 #include "firmware/recon/dump.h"
 #include "firmware/recon/figures.h"
 #include "firmware/recon/locate.h"
@@ -79,7 +80,7 @@ err_t start_scene(struct start *s)
         memcpy(scene->cams, v->cams, n * sizeof *scene->cams);
     s->keep = arena_mark(keep);
     s->tmp = arena_mark(s->run->tmp);
-    if (!e && s->cfg->network && !recipe->network)
+    if (!e && s->cfg->network && !recipe->network && !recipe->complete)
         job_result_warn(s->out,
                         "the network was not needed: cameras are known, and refinement starts from "
                         "stereo; to start from the network all the same: --set start.stereo=0");
@@ -384,6 +385,8 @@ err_t start_stereo(struct start *s)
         e = sweep_run(r, &merged->views, &merged->tone, &s->depth);
     if (!e)
         e = far_run(r, &merged->views, &merged->tone, &s->depth);
+    if (!e && s->recipe->complete)
+        e = completion_run(r, &s->cfg->network->net, &merged->views, &merged->tone, &s->depth);
     if (!e && out->views.n_more == 0 && !out->views.srgb) {
         e = response_refit_run(r, &out->views, &s->depth, &merged->tone);
         out->scene.tone = merged->tone;
@@ -565,15 +568,17 @@ static void plan_seeds(struct plan *p, const struct recipe *recipe, const struct
     seed_plan(p, network ? v->extent : maps, v->n, refine_begin(&recipe->refinement, v->n), &seeds);
 }
 
-static void plan_stereo(struct plan *p, const struct views *v, const struct extent *maps,
-                        bool light)
+static void plan_stereo(struct plan *p, const struct job_config *cfg, const struct recipe *recipe,
+                        const struct views *v, const struct extent *maps)
 {
     exposure_stack_merge_plan(p, v);
     sweep_plan(p, v, maps);
     far_plan(p, maps, v->n);
+    if (recipe->complete)
+        completion_plan(p, &cfg->network->net, maps, v->n);
     if (v->n_more == 0)
         arena_step(&p->tmp, response_refit_plan(v->n));
-    if (light)
+    if (recipe->depth == RECIPE_STEREO)
         arena_step(&p->tmp, shading_plan(v->n));
 }
 
@@ -606,7 +611,7 @@ void start_plan(struct plan *p, const struct job_config *cfg, const struct recip
         arena_reset(&p->keep, keep);
     const size_t before_depth = arena_mark(&p->keep);
     if (recipe->depth == RECIPE_STEREO || recipe->correct)
-        plan_stereo(p, v, maps, recipe->depth == RECIPE_STEREO);
+        plan_stereo(p, cfg, recipe, v, maps);
     if (recipe->correct) {
         correct_plan(p, v->n, v->size);
         arena_reset(&p->keep, before_depth);

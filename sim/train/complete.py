@@ -6,13 +6,13 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-INPUTS, OUTPUTS = 12, 3
+INPUTS, OUTPUTS = 15, 3
 WIDTH = (32, 48, 64, 96, 128, 128)
 STAY = (0, 1, 1, 2, 1, 2)
 
 
 class Complete(nn.Module):
-    """(B, 12, h, w) to (B, 3, h, w). Its state dict is that of the checkpoint without the prefix
+    """(B, 15, h, w) to (B, 3, h, w). Its state dict is that of the checkpoint without the prefix
     "complete."."""
 
     def __init__(self):

@@ -45,7 +45,7 @@ static struct ref_map layer(const struct ref_map *x, const char *name, int l, in
 static struct ref_map want(void)
 {
     static const int stay[] = {0, 1, 1, 2, 1, 2};
-    struct ref_map e[6], d = ref_floats(in.px, in.h, in.w, 12);
+    struct ref_map e[6], d = ref_floats(in.px, in.h, in.w, NET_COMPLETE_IN);
     for (int l = 0; l < 6; l++) {
         char name[REF_NAMES];
         d = ref_relu(layer(&d, "down", l, l ? 2 : 1));
