@@ -161,9 +161,11 @@ static void a_completion_branch_comes_last(void **state)
         bool exact;
     } known[] = {
         {"encoder.complete.down.0.weight", {32, 15, 3}, true},
+        {"encoder.complete.down.1.weight", {48, 32, 3}, true},
         {"encoder.complete.down.5.weight", {128, 128, 3}, false},
         {"encoder.complete.stay.3.1.weight", {96, 96, 3}, false},
         {"encoder.complete.up.0.weight", {32, 48, 1}, false},
+        {"encoder.complete.join.0.weight", {32, 32, 3}, true},
         {"encoder.complete.join.4.weight", {128, 128, 3}, false},
         {"encoder.complete.out.weight", {3, 32, 3}, true},
     };
