@@ -24,7 +24,6 @@ enum {
 
 static const float SMOOTH = 0.12f; // stops, standard deviation of luminance in the surroundings
 static const float ALIKE = 0.4f;   // stops, two views of one thing
-static const float INSIDE = 0.4f;  // of the shell, where all else is
 static const float OCCLUDER = 1;   // stop, what is darker than a region by that may hide it
 static const float TELLS = 1;      // stop, between saturation and what a picture else shows
 static const float ELSE = 0.9f;    // quantile of that
@@ -379,7 +378,7 @@ static err_t place_view(void *ctx, int i, int worker)
             shell_depth(&s->shell, &s->v->cams[i], ((float)(k % map->w) + 0.5f) * scale,
                         ((float)(k / map->w) + 0.5f) * scale);
         s->d->far[at] = label[k] == 0;
-        s->d->depth[at] = s->d->far[at] ? most : fminf(s->d->depth[at], INSIDE * most);
+        s->d->depth[at] = s->d->far[at] ? most : fminf(s->d->depth[at], SHELL_INSIDE * most);
         s->d->conf[at] = s->d->far[at] ? FAR_CONF : s->d->conf[at];
     }
     return run_check(s->run, "far");

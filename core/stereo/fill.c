@@ -15,7 +15,11 @@ enum {
 
 static const float STOPS = 6.0f; // light and inverse depth are limited to so many around the median
 
-static float SURE = -3.0f, GUESSED = 0.29f, NOT_FAR = -1.0f, IS_FAR = 1.0f;
+static const float SURE = -2.0f;       // ln of b below which a depth is usable: a tenth of it
+static const float GUESSED = 0.29f;    // confidence of others: not usable
+static const float DOUBT = 3.0f;       // times b, where the branch overrules stereo
+static const float DOUBT_LEAST = 0.1f; // stops: below, both mean the same surface
+static const float IS_FAR = 1.0f, NOT_FAR = -1.0f; // logits
 
 static float limit(float x)
 {
@@ -226,15 +230,24 @@ void fill_input(struct fill *f, int view, float *out)
 /* ---- the answer ---- */
 
 /* A depth that the branch is sure of is usable, but not confirmed; any other is a better guess. */
-static float confidence_of(float log_spread)
+static float confidence_of(const float *answer)
 {
-    return log_spread < SURE ? SWEEP_CONF_USABLE : GUESSED;
+    return answer[FILL_SPREAD] < SURE ? SWEEP_CONF_USABLE : GUESSED;
 }
 
-/* Whether a pixel sees the shell: what light says holds unless the branch is sure of the opposite. */
-static bool sees_shell(bool was, float logit)
+/* Whether a pixel sees the shell: what far_run said holds unless the branch is sure of the
+ * opposite. */
+static bool sees_shell(bool was, const float *answer)
 {
-    return was ? logit > NOT_FAR : logit > IS_FAR;
+    return answer[FILL_IS_FAR] > (was ? NOT_FAR : IS_FAR);
+}
+
+/* Whether stereo has no depth here, or one that the branch does not believe. */
+static bool is_lost(float conf, const float *answer)
+{
+    const float off = fabsf(answer[FILL_RESIDUAL]);
+    return conf < SWEEP_CONF_USABLE ||
+           (off > DOUBT_LEAST && off > DOUBT * expf(answer[FILL_SPREAD]));
 }
 
 void fill_take(struct fill *f, int view, const float *answer, struct depthmaps *d)
@@ -245,16 +258,17 @@ void fill_take(struct fill *f, int view, const float *answer, struct depthmaps *
     guess_smooth(&f->guess, d, view, f->rho);
     for (size_t i = 0; i < extent_pixels(map); i++, answer += FILL_ANSWER) {
         const size_t at = map->at + i;
-        const bool was = d->far && d->far[at];
-        const bool far = d->far && sees_shell(was, answer[FILL_IS_FAR]);
-        if (far == was && (far || d->conf[at] >= SWEEP_CONF_USABLE))
+        const bool was = d->far && d->far[at], far = d->far && sees_shell(was, answer);
+        if (far == was && (far || !is_lost(d->conf[at], answer)))
             continue;
+        const float most = d->far ? shell_depth(&shell, &f->views->cams[view],
+                                                ((float)((int)i % map->w) + 0.5f) * s,
+                                                ((float)((int)i / map->w) + 0.5f) * s)
+                                  : INFINITY;
+        const float depth = 1.0f / (f->rho[i] * exp2f(limit(answer[FILL_RESIDUAL])));
+        d->depth[at] = far ? most : fminf(depth, SHELL_INSIDE * most);
+        d->conf[at] = far ? FAR_CONF : confidence_of(answer);
         if (d->far)
             d->far[at] = far;
-        d->depth[at] = far ? shell_depth(&shell, &f->views->cams[view],
-                                         ((float)((int)i % map->w) + 0.5f) * s,
-                                         ((float)((int)i / map->w) + 0.5f) * s)
-                           : 1.0f / (f->rho[i] * exp2f(limit(answer[FILL_RESIDUAL])));
-        d->conf[at] = far ? FAR_CONF : confidence_of(answer[FILL_SPREAD]);
     }
 }

@@ -1,5 +1,5 @@
-/* fill.h - what the completion branch of the network (core/net/complete.h) is told about a view, and
- * its answer taken into the depth maps.
+/* fill.h - what the completion branch of the network (core/net/complete.h) is told about a view,
+ * and its answer taken into the depth maps.
  * Pure computation; thread: any, a workspace belongs to one at a time. */
 #ifndef STEREO_FILL_H
 #define STEREO_FILL_H
@@ -9,20 +9,21 @@
 
 #include "core/photo/response.h"
 
-/* What is known of a pixel. Inverse depth is in log2 over the median of the usable pixels of the view. */
+/* What is known of a pixel. Inverse depth is in log2 over the median of what is usable in the view,
+ * halved; light in log2 over its median, a third. */
 enum {
-    FILL_LIGHT,          // 3: log2 of radiance over the median of the view, a third of the stops
-    FILL_WEIGHT = 3,     // 0: black or saturated .. 1: accurate
-    FILL_USABLE,         // 1: stereo has a usable depth
-    FILL_CONF,           // confidence of stereo
-    FILL_STEREO,         // inverse depth of stereo, half
-    FILL_FAR,            // 1: sees what is infinitely far
-    FILL_GUESS,          // inverse depth of guess_smooth, half
-    FILL_RAY,            // 2: x / z and y / z of the ray
-    FILL_SEEN = 11,      // share of four other views that have the guess in their picture
-    FILL_NEAREST,        // inverse depth, half, of the nearest confirmed point that others have here,
-    FILL_FARTHEST,       // of the farthest one; 0: none has
-    FILL_OTHERS,         // share of four such points
+    FILL_LIGHT,      // 3: radiance
+    FILL_WEIGHT = 3, // of the light, 0: black or saturated .. 1: accurate
+    FILL_USABLE,     // 1: stereo has a usable depth
+    FILL_CONF,       // confidence of stereo
+    FILL_STEREO,     // inverse depth of stereo
+    FILL_FAR,        // 1: sees what is infinitely far
+    FILL_GUESS,      // inverse depth of guess_smooth
+    FILL_RAY,        // 2: x / z and y / z of the ray
+    FILL_SEEN = 11,  // share of four other views that have the guess in their picture
+    FILL_NEAREST,    // inverse depth of the nearest confirmed point that other views have here,
+    FILL_FARTHEST,   // of the farthest one; 0: none has
+    FILL_OTHERS,     // share of four such points
     FILL_INPUT
 };
 

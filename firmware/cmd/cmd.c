@@ -243,11 +243,10 @@ err_t cmd_network(const struct cmd_model *m, const struct config *cfg, struct ne
     return network_open(m->path, m->precision, (unsigned)cfg->net_float_parts, own);
 }
 
-err_t cmd_shipped(const struct cmd_model *m, const struct capture *c, struct network *own,
-                  const struct network **out)
+err_t cmd_shipped(const struct cmd_model *m, struct network *own, const struct network **out)
 {
     char path[FILE_PATH_CAP];
-    if (m->path || c->n == 0 || !network_shipped(path))
+    if (m->path || !network_shipped(path))
         return OK;
     *out = own;
     return network_open(path, NULL, 0, own);

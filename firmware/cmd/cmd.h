@@ -115,10 +115,10 @@ bool cmd_has_network(const struct cmd_model *m, const char **reason);
 MUST_USE err_t cmd_network(const struct cmd_model *m, const struct config *cfg, struct network *own,
                            const struct network **out);
 
-/* Without --model, open the model that comes with this
- * program: *out, with *own behind it. Unchanged if there is a network, or no such model.
+/* Without --model, open the model that comes with this program: *out, with *own behind it.
+ * Unchanged if there is a network, or no such model.
  * own, err: as cmd_network. */
-MUST_USE err_t cmd_shipped(const struct cmd_model *m, const struct capture *c, struct network *own,
+MUST_USE err_t cmd_shipped(const struct cmd_model *m, struct network *own,
                            const struct network **out);
 
 /* teamwork_open, with the settings of the first rank but its threads and memory, and the files of

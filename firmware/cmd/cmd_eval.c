@@ -323,7 +323,7 @@ static err_t reconstruct_inputs(struct state *st, struct request *rq)
     job.square = strcmp(rq->protocol, "paper") == 0;
     e = list_pictures(st, rq);
     if (!e)
-        e = cmd_shipped(&rq->model, &st->train.capture, &st->network, &job.network);
+        e = cmd_shipped(&rq->model, &st->network, &job.network);
     job.cameras_only = !network;
     if (!e)
         job.size = recipe_size(&job, &st->train.capture);

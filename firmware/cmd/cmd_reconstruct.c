@@ -192,7 +192,7 @@ static err_t prepare_job(struct request *rq, struct state *st, struct job_config
     rq->set.brackets = !rq->set.may_lack_times && !recipe_forward(job); // for refinement
     e = cmd_photographs(&rq->set, &st->set);
     if (!e)
-        e = cmd_shipped(&rq->model, &st->set.capture, &st->network, &job->network);
+        e = cmd_shipped(&rq->model, &st->network, &job->network);
     job->cameras_only = !network;
     if (!e)
         job->size = recipe_size(job, &st->set.capture);

@@ -330,8 +330,9 @@ err_t job_plan(const struct capture *c, const struct job_config *cfg, int thread
     free(large.extent);
     if (e)
         return e;
+    const bool weights = recipe.network || recipe.complete;
     *out = (struct job_memory){.pictures = imageset_bytes(c, cfg->source ? threads : c->n),
-                               .weights = recipe.network || recipe.complete ? cfg->network->file.model.bytes : 0,
+                               .weights = weights ? cfg->network->file.model.bytes : 0,
                                .keep = p.keep.peak,
                                .tmp = p.tmp.peak};
     return OK;

@@ -9,15 +9,18 @@
 
 #include <string.h>
 
-enum { SIDE_LEAST = SWEEP_SIZE_MIN, SIDE_MAX = 256 }; // px, the largest picture that is matched as it is
+enum {
+    SIDE_LEAST = SWEEP_SIZE_MIN,
+    SIDE_MAX = 256
+}; // px, the largest picture that is matched as it is
 
 static err_t check_request(const struct stereo_request *q)
 {
     if (q->n < 2 || q->n > STEREO_VIEWS)
         return err_fail(ERR_ARG, "stereo: %d photographs, allowed are 2 to %d", q->n, STEREO_VIEWS);
     if (q->w < SIDE_LEAST || q->h < SIDE_LEAST || q->w > SIDE_MAX || q->h > SIDE_MAX)
-        return err_fail(ERR_ARG, "stereo: %d x %d px, allowed are %d to %d", q->w, q->h,
-                        SIDE_LEAST, SIDE_MAX);
+        return err_fail(ERR_ARG, "stereo: %d x %d px, allowed are %d to %d", q->w, q->h, SIDE_LEAST,
+                        SIDE_MAX);
     return OK;
 }
 
@@ -28,8 +31,8 @@ static void set_views(const struct stereo_request *q, struct extent *extent, str
     for (int i = 0; i < q->n; i++) {
         const float *c = q->cams + STEREO_CAMERA * i;
         extent[i] = (struct extent){q->w, q->h, (size_t)i * (size_t)q->w * (size_t)q->h};
-        cams[i] = (struct camera){q->w, q->h, c[0], c[1], c[2], c[3], {c[4], c[5], c[6], c[7]},
-                                  {c[8], c[9], c[10]}};
+        cams[i] = (struct camera){
+            q->w, q->h, c[0], c[1], c[2], c[3], {c[4], c[5], c[6], c[7]}, {c[8], c[9], c[10]}};
         lo = q->log2t[i] < lo ? q->log2t[i] : lo;
         hi = q->log2t[i] > hi ? q->log2t[i] : hi;
     }

@@ -9,8 +9,8 @@
 enum { STEREO_VIEWS = 16, STEREO_CAMERA = 11 }; // fx fy cx cy (px), q wxyz, t: world to camera
 
 struct stereo_request {
-    int n, w, h;       // 2..STEREO_VIEWS photographs of 16..256 px: the maps have their size
-    const uint8_t *px; // (n, h, w, 3)
+    int n, w, h;        // 2..STEREO_VIEWS photographs of 16..256 px: the maps have their size
+    const uint8_t *px;  // (n, h, w, 3)
     const float *log2t; // (n)
     const float *cams;  // (n, STEREO_CAMERA)
     /* out, the caller's */

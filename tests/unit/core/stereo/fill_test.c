@@ -123,7 +123,8 @@ static void depth_is_in_stops_over_the_median_of_what_is_usable(void **state)
     assert_true(fabsf(known(0, 5)[FILL_RAY + 1] - (11 - 24) / 64.0f) < 1e-6f);
 }
 
-/* Camera 2 stands 4 px of the map to the right of camera 0: the left of 0 is not in its picture, and half as much not in that of 1. */
+/* Camera 2 stands 4 px of the map to the right of camera 0: the left of 0 is not in its picture, and
+ * half as much not in that of 1. */
 static void what_others_have_measured_is_told(void **state)
 {
     (void)state;
@@ -165,27 +166,36 @@ static void answer(int at, float residual, float spread, float far)
     w.answer[at * FILL_ANSWER + FILL_IS_FAR] = far;
 }
 
-static void what_stereo_is_sure_of_stays(void **state)
+static void what_stereo_is_sure_of_stays_unless_it_is_doubted(void **state)
 {
     (void)state;
     for (int k = 0; k < MPX; k++)
-        answer(k, 3, -9, 9);
+        answer(k, k % 2 ? 0.09f : 0.29f, k % 2 ? -9 : -2.3f, -9); // below 0.1; below 3 b
     w.conf[5] = 0.3f;
     w.depth[7] = 1e5f;
     w.far[7] = true;
     w.conf[7] = FAR_CONF;
+    answer(7, 1, -9, 0); // not sure that it is near
     const struct place before = w;
     fill_take(&w.f, 0, w.answer, &w.maps);
     assert_memory_equal(w.depth, before.depth, sizeof w.depth);
     assert_memory_equal(w.conf, before.conf, sizeof w.conf);
     assert_memory_equal(w.far, before.far, sizeof w.far);
+    answer(9, 0.11f, -4, -9);
+    answer(10, 0.5f, -1.9f, -9);
+    fill_take(&w.f, 0, w.answer, &w.maps);
+    assert_true(fabsf(w.depth[9] - WALL * exp2f(-0.11f)) < 1e-3f);
+    assert_true(w.conf[9] == SWEEP_CONF_USABLE);
+    assert_true(fabsf(w.depth[10] - WALL * exp2f(-0.5f)) < 1e-3f);
+    assert_true(w.conf[10] < SWEEP_CONF_USABLE);
 }
 
 static void other_depth_is_taken_and_is_usable_where_the_branch_is_sure(void **state)
 {
     (void)state;
     for (int k = 0; k < MPX; k++)
-        answer(k, 1, -6, -9);
+        answer(k, 0, -6, -9);
+    answer(90, 1, -6, -9);
     answer(3, -0.5f, 0, -9);
     w.conf[MPX + 3] = w.conf[MPX + 90] = 0; // their surroundings say 4
     fill_take(&w.f, 1, w.answer, &w.maps);
@@ -227,7 +237,7 @@ static void an_answer_beyond_reason_is_limited(void **state)
         answer(k, k % 2 ? 1e9f : -1e9f, 0, -9);
     fill_take(&w.f, 0, w.answer, &w.maps);
     for (int k = 0; k < MPX; k++)
-        assert_true(w.depth[k] >= WALL / 65 && w.depth[k] <= WALL * 65);
+        assert_true(w.depth[k] >= WALL / 65 && w.depth[k] <= WALL * 65 && !w.far[k]);
 }
 
 int main(void)
@@ -238,7 +248,7 @@ int main(void)
         TEST(depth_is_in_stops_over_the_median_of_what_is_usable),
         TEST(what_others_have_measured_is_told),
         TEST(nothing_usable_is_told_in_numbers),
-        TEST(what_stereo_is_sure_of_stays),
+        TEST(what_stereo_is_sure_of_stays_unless_it_is_doubted),
         TEST(other_depth_is_taken_and_is_usable_where_the_branch_is_sure),
         TEST(sky_goes_to_the_shell_and_what_is_none_comes_back),
         TEST(an_answer_beyond_reason_is_limited),
