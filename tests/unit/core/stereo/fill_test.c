@@ -123,8 +123,8 @@ static void depth_is_in_stops_over_the_median_of_what_is_usable(void **state)
     assert_true(fabsf(known(0, 5)[FILL_RAY + 1] - (11 - 24) / 64.0f) < 1e-6f);
 }
 
-/* Camera 2 stands 4 px of the map to the right of camera 0: the left of 0 is not in its picture, and
- * half as much not in that of 1. */
+/* Camera 2 stands 4 px of the map to the right of camera 0: the left of 0 is not in its picture,
+ * and half as much not in that of 1. */
 static void what_others_have_measured_is_told(void **state)
 {
     (void)state;
