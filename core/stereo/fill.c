@@ -250,11 +250,12 @@ static bool is_lost(float conf, const float *answer)
            (off > DOUBT_LEAST && off > DOUBT * expf(answer[FILL_SPREAD]));
 }
 
-void fill_take(struct fill *f, int view, const float *answer, struct depthmaps *d)
+size_t fill_take(struct fill *f, int view, const float *answer, struct depthmaps *d)
 {
     const struct extent *map = &d->extent[view];
     const struct shell shell = shell_of(f->views->cams, f->views->n);
     const float s = (float)d->scale;
+    size_t taken = 0;
     guess_smooth(&f->guess, d, view, f->rho);
     for (size_t i = 0; i < extent_pixels(map); i++, answer += FILL_ANSWER) {
         const size_t at = map->at + i;
@@ -270,5 +271,7 @@ void fill_take(struct fill *f, int view, const float *answer, struct depthmaps *
         d->conf[at] = far ? FAR_CONF : confidence_of(answer);
         if (d->far)
             d->far[at] = far;
+        taken++;
     }
+    return taken;
 }

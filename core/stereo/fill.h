@@ -57,7 +57,8 @@ enum {
 };
 
 /* Take it into the maps where stereo is not sure, after fill_input of all views.
- * answer: (h, w, FILL_ANSWER) of the map of the view. d: that of fill_set. */
-void fill_take(struct fill *f, int view, const float *answer, struct depthmaps *d);
+ * answer: (h, w, FILL_ANSWER) of the map of the view. d: that of fill_set.
+ * returns: the number of pixels that changed. */
+size_t fill_take(struct fill *f, int view, const float *answer, struct depthmaps *d);
 
 #endif

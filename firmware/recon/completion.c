@@ -38,10 +38,11 @@ static err_t ask_branch(const struct run *r, const struct net *net, struct compl
 }
 
 err_t completion_run(const struct run *r, const struct net *net, const struct views *v,
-                     const struct tonemap *tone, struct depthmaps *d)
+                     const struct tonemap *tone, struct depthmaps *d, float *share)
 {
     struct completion c;
     const size_t mark = arena_mark(r->tmp);
+    size_t taken = 0;
     err_t e = layout(&c, r->tmp, d->extent, d->n);
     if (!e) {
         fill_set(&c.fill, v, tone, d);
@@ -50,7 +51,8 @@ err_t completion_run(const struct run *r, const struct net *net, const struct vi
     if (!e)
         e = share_gather(r, c.answer, FILL_ANSWER * sizeof *c.answer, d->extent, d->n);
     for (int i = 0; i < d->n && !e; i++)
-        fill_take(&c.fill, i, c.answer + FILL_ANSWER * d->extent[i].at, d);
+        taken += fill_take(&c.fill, i, c.answer + FILL_ANSWER * d->extent[i].at, d);
+    *share = (float)taken / (float)extent_total(d->extent, d->n);
     arena_reset(r->tmp, mark);
     return e;
 }

@@ -23,8 +23,8 @@
 #include <string.h>
 
 static const char *const stage_names[JOB_STAGES] = {
-    "preprocess", "response", "cameras", "sweep",      "seed",   "backbone", "heads",
-    "appearance", "voxel",    "refine",  "confidence", "render", "write",    "measure"};
+    "preprocess", "response", "cameras", "sweep",      "completion", "seed",  "backbone", "heads",
+    "appearance", "voxel",    "refine",  "confidence", "render",     "write", "measure"};
 
 static void announce_stage(const struct run *r, enum job_stage stage)
 {
@@ -438,6 +438,13 @@ static void report_making(const struct job_result *j, struct report *rep)
     shading_tell(j, drift, sizeof drift);
     if (drift[0])
         report_text(rep, NULL, drift);
+    if (j->completed > 0) {
+        char text[128];
+        snprintf(text, sizeof text,
+                 "depth of %.0f %% of the pixels by the network, where stereo is not sure",
+                 (double)(100 * j->completed));
+        report_text(rep, NULL, text);
+    }
     if (j->taken > j->views.n + j->views.n_more) {
         char text[128];
         snprintf(text, sizeof text, "%d of %d photographs: the others show nothing more",

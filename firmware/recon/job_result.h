@@ -17,6 +17,7 @@ enum job_stage {
     JOB_RESPONSE,
     JOB_CAMERAS, // bundle adjustment: cameras, or the scale of the network
     JOB_SWEEP,
+    JOB_COMPLETION, // depth where stereo is not sure, by the network
     JOB_SEED,
     JOB_BACKBONE,
     JOB_HEADS,      // cameras and depth
@@ -72,6 +73,7 @@ struct job_result {
     int taken;                     // photographs of brackets, before redundant ones were dropped
     char sizing[160];              // how large pictures were chosen, a sentence
     char budget[128];              // what was chosen to end in time; "": nothing
+    float completed;               // share of the depth that is the completion branch's
     struct scene scene;            // in keep
     struct refine_report refine;
     struct confidence_advice advice; // if scene.confidence is known and not measured_only

@@ -371,6 +371,16 @@ static err_t find_light(struct start *s)
     return e;
 }
 
+static err_t complete_depth(struct start *s)
+{
+    job_result_lap(s->out, JOB_SWEEP);
+    announce_stage(s->run, "completion");
+    err_t e = completion_run(s->run, &s->cfg->network->net, &s->merged.views, &s->merged.tone,
+                             &s->depth, &s->out->completed);
+    job_result_lap(s->out, JOB_COMPLETION);
+    return e;
+}
+
 err_t start_stereo(struct start *s)
 {
     const struct run *r = s->run;
@@ -386,7 +396,7 @@ err_t start_stereo(struct start *s)
     if (!e)
         e = far_run(r, &merged->views, &merged->tone, &s->depth);
     if (!e && s->recipe->complete)
-        e = completion_run(r, &s->cfg->network->net, &merged->views, &merged->tone, &s->depth);
+        e = complete_depth(s);
     if (!e && out->views.n_more == 0 && !out->views.srgb) {
         e = response_refit_run(r, &out->views, &s->depth, &merged->tone);
         out->scene.tone = merged->tone;

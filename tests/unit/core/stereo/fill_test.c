@@ -177,13 +177,13 @@ static void what_stereo_is_sure_of_stays_unless_it_is_doubted(void **state)
     w.conf[7] = FAR_CONF;
     answer(7, 1, -9, 0); // not sure that it is near
     const struct place before = w;
-    fill_take(&w.f, 0, w.answer, &w.maps);
+    (void)fill_take(&w.f, 0, w.answer, &w.maps);
     assert_memory_equal(w.depth, before.depth, sizeof w.depth);
     assert_memory_equal(w.conf, before.conf, sizeof w.conf);
     assert_memory_equal(w.far, before.far, sizeof w.far);
     answer(9, 0.11f, -4, -9);
     answer(10, 0.5f, -1.9f, -9);
-    fill_take(&w.f, 0, w.answer, &w.maps);
+    assert_int_equal(fill_take(&w.f, 0, w.answer, &w.maps), 2);
     assert_true(fabsf(w.depth[9] - WALL * exp2f(-0.11f)) < 1e-3f);
     assert_true(w.conf[9] == SWEEP_CONF_USABLE);
     assert_true(fabsf(w.depth[10] - WALL * exp2f(-0.5f)) < 1e-3f);
@@ -198,7 +198,7 @@ static void other_depth_is_taken_and_is_usable_where_the_branch_is_sure(void **s
     answer(90, 1, -6, -9);
     answer(3, -0.5f, 0, -9);
     w.conf[MPX + 3] = w.conf[MPX + 90] = 0; // their surroundings say 4
-    fill_take(&w.f, 1, w.answer, &w.maps);
+    (void)fill_take(&w.f, 1, w.answer, &w.maps);
     assert_true(fabsf(w.depth[MPX + 90] - WALL / 2) < 1e-3f);
     assert_true(w.conf[MPX + 90] >= SWEEP_CONF_USABLE && w.conf[MPX + 90] < SWEEP_CONF_CONFIRMED);
     assert_true(fabsf(w.depth[MPX + 3] - WALL * sqrtf(2)) < 1e-3f);
@@ -217,7 +217,7 @@ static void sky_goes_to_the_shell_and_what_is_none_comes_back(void **state)
     w.far[50] = true;
     w.depth[50] = 1e5f;
     w.conf[50] = FAR_CONF;
-    fill_take(&w.f, 0, w.answer, &w.maps);
+    (void)fill_take(&w.f, 0, w.answer, &w.maps);
     const float z = shell_depth(&shell, w.cams, 2 * (40 % MAP + 0.5f), 2 * (float)(40 / MAP) + 1);
     assert_true(w.far[40] && w.conf[40] == FAR_CONF && fabsf(w.depth[40] / z - 1) < 1e-6f);
     assert_true(!w.far[50] && fabsf(w.depth[50] - WALL) < 1e-3f);
@@ -225,7 +225,7 @@ static void sky_goes_to_the_shell_and_what_is_none_comes_back(void **state)
     w.maps.far = NULL;
     w.depth[40] = WALL;
     w.conf[40] = 0.1f;
-    fill_take(&w.f, 0, w.answer, &w.maps);
+    (void)fill_take(&w.f, 0, w.answer, &w.maps);
     assert_true(fabsf(w.depth[40] - WALL) < 1e-3f);
 }
 
@@ -235,7 +235,7 @@ static void an_answer_beyond_reason_is_limited(void **state)
     memset(w.conf, 0, sizeof w.conf);
     for (int k = 0; k < MPX; k++)
         answer(k, k % 2 ? 1e9f : -1e9f, 0, -9);
-    fill_take(&w.f, 0, w.answer, &w.maps);
+    (void)fill_take(&w.f, 0, w.answer, &w.maps);
     for (int k = 0; k < MPX; k++)
         assert_true(w.depth[k] >= WALL / 65 && w.depth[k] <= WALL * 65 && !w.far[k]);
 }
