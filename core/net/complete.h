@@ -9,13 +9,6 @@
 #include "core/base/plan.h"
 #include "core/net/graph.h"
 
-/* Channels of the output. */
-enum {
-    COMPLETE_RESIDUAL, // log2 of the inverse depth over the guess in the input
-    COMPLETE_SPREAD,   // natural logarithm of b of a Laplace distribution of that residual, log2
-    COMPLETE_FAR       // logit: the pixel sees what is infinitely far
-};
-
 /* A map of one view. */
 struct complete_in {
     int h, w;        // px, any
@@ -25,7 +18,8 @@ struct complete_in {
 /* Count the memory of complete_run; of the map its size alone is read. */
 void complete_plan(struct plan *p, const struct net *net, const struct complete_in *in);
 
-/* out:  (h, w, NET_COMPLETE_OUT).
+/* out:  (h, w, NET_COMPLETE_OUT); what the numbers mean, here and in the input, says
+ *       core/stereo/fill.h.
  * err:  ERR_NOMEM (r->tmp, see complete_plan), ERR_CANCELLED, ERR_FORMAT (the output exceeds the
  *       bound of finite.h). */
 MUST_USE err_t complete_run(const struct run *r, const struct net *net,
