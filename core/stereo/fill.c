@@ -55,10 +55,12 @@ static void mean_light(const struct fill *f, int view, int i, float *out)
     float sum[4] = {0};
     for (int k = 0; k < s * s; k++) {
         const int x = i % w * s + k % s, y = i / w * s + k / s;
-        const uint8_t *p = rgb + 3 * ((size_t)y * (size_t)px->w + (size_t)x);
+        const size_t at = (size_t)y * (size_t)px->w + (size_t)x;
+        const float third = views_hides(f->views, view, at) ? 0 : 1 / 3.0f;
         for (int c = 0; c < 3; c++) {
-            sum[c] += f->table.x[c][p[c]];
-            sum[FILL_WEIGHT] += f->table.weight[c][p[c]] / 3.0f;
+            const uint8_t z = rgb[3 * at + (size_t)c];
+            sum[c] += f->table.x[c][z];
+            sum[FILL_WEIGHT] += third * f->table.weight[c][z];
         }
     }
     for (int c = 0; c <= FILL_WEIGHT; c++)

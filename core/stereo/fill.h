@@ -13,7 +13,7 @@
  * halved; light in log2 over its median, a third. */
 enum {
     FILL_LIGHT,      // 3: radiance
-    FILL_WEIGHT = 3, // of the light, 0: black or saturated .. 1: accurate
+    FILL_WEIGHT = 3, // of the light, 0: black, saturated or masked .. 1: accurate
     FILL_USABLE,     // 1: stereo has a usable depth
     FILL_CONF,       // confidence of stereo
     FILL_STEREO,     // inverse depth of stereo

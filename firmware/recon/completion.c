@@ -27,12 +27,14 @@ static err_t ask_branch(const struct run *r, const struct net *net, struct compl
 {
     const struct depthmaps *d = c->fill.depth;
     err_t e = OK;
-    const int first = team_first(r->team, d->n, team_rank(r->team));
-    for (int i = first; i < first + team_own(r->team, d->n) && !e; i++) {
+    const int first = team_first(r->team, d->n, team_rank(r->team)), n = team_own(r->team, d->n);
+    for (int i = first; i < first + n && !e; i++) {
         const struct extent *map = &d->extent[i];
         const struct complete_in in = {map->h, map->w, c->input};
         fill_input(&c->fill, i, c->input);
         e = complete_run(r, net, &in, c->answer + FILL_ANSWER * map->at);
+        if (r->progress)
+            r->progress(r->progress_ctx, "completion", i + 1 - first, n, NULL);
     }
     return e;
 }

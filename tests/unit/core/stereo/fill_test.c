@@ -27,7 +27,7 @@ static struct place {
     struct camera cams[VIEWS];
     float log2t[VIEWS], depth[VIEWS * MPX], conf[VIEWS * MPX];
     bool far[VIEWS * MPX];
-    uint8_t rgb[3 * VIEWS * PX];
+    uint8_t rgb[3 * VIEWS * PX], masked[VIEWS * PX];
     float input[MPX * FILL_INPUT], answer[MPX * FILL_ANSWER];
 } w;
 
@@ -98,6 +98,12 @@ static void light_is_in_stops_over_the_median_of_the_view(void **state)
         assert_true(fabsf(3 * known(5, 6)[c] - log2f(0.5029f / 0.2159f)) < 0.02f);
         assert_true(known(7, 6)[c] >= -2 && known(7, 6)[c] < -1);
     }
+    const float weight = known(1, 1)[FILL_WEIGHT];
+    w.views.masked = w.masked;
+    memset(w.masked + PX + SIZE, 1, SIZE / 2); // half of the left half of the first row of the map
+    fill_input(&w.f, 1, w.input);
+    assert_true(fabsf(known(0, 0)[FILL_WEIGHT] - weight / 2) < 1e-6f &&
+                known(MAP - 1, 0)[FILL_WEIGHT] == weight);
     assert_true(known(1, 1)[FILL_WEIGHT] > 0.9f && known(7, 6)[FILL_WEIGHT] < 0.01f);
 }
 
