@@ -9,18 +9,17 @@
 
 #include <string.h>
 
-enum {
-    SIDE_LEAST = SWEEP_SIZE_MIN,
-    SIDE_MAX = 256
-}; // px, the largest picture that is matched as it is
+enum { SIDE_MAX = 256 }; // px, largest picture whose map has its size
 
 static err_t check_request(const struct stereo_request *q)
 {
     if (q->n < 2 || q->n > STEREO_VIEWS)
         return err_fail(ERR_ARG, "stereo: %d photographs, allowed are 2 to %d", q->n, STEREO_VIEWS);
-    if (q->w < SIDE_LEAST || q->h < SIDE_LEAST || q->w > SIDE_MAX || q->h > SIDE_MAX)
-        return err_fail(ERR_ARG, "stereo: %d x %d px, allowed are %d to %d", q->w, q->h, SIDE_LEAST,
-                        SIDE_MAX);
+    if (q->w < SWEEP_SIZE_MIN || q->h < SWEEP_SIZE_MIN || q->w > SIDE_MAX || q->h > SIDE_MAX)
+        return err_fail(ERR_ARG, "stereo: %d x %d px, allowed are %d to %d", q->w, q->h,
+                        SWEEP_SIZE_MIN, SIDE_MAX);
+    if (!q->px || !q->log2t || !q->cams || !q->input || !q->guess)
+        return err_fail(ERR_ARG, "stereo: px, log2t, cams, input and guess must not be NULL");
     return OK;
 }
 
