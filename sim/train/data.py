@@ -57,7 +57,8 @@ class Worlds:
         self.lib.sample_error.restype = c.c_char_p
 
     def make(self, seed: int, n: int, size: int, spread: float, fov: float, kind: int):
-        q = Request(SampleScene(seed, kind, n, size, spread, fov, 1, 0, Quality(1, 1)))
+        q = Request(SampleScene(seed=seed, kind=kind, n_views=n, size=size, spread=spread,
+                                fov_deg=fov, jitter=1, quality=Quality(samples=1, shadow=1)))
         radiance = np.empty((n, 3, size, size), np.float32)
         depth = np.empty((n, size, size), np.float32)
         cams, key = np.empty((n, 11), np.float32), c.c_double()
