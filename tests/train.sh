@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # The training of the small network: the same graph in PyTorch as in C, every stage learns, resumes
-# from its checkpoint with the same weights, and exports a model. Needs
+# from its checkpoint with the same weights, and exports a model, with the completion branch. Needs
 # PyTorch 2.2 or newer for $PYTHON (python3) and what `make all libsim` builds.
 . tests/e2e/common.bash
 export PYTHONDONTWRITEBYTECODE=1 # the folder of the sources stays clean
@@ -18,8 +18,8 @@ script() { # name arguments...: of sim/train, its words in $OUT/stdout.txt
 quick=(--scenes "$OUT/scenes" --tokens 200 --sizes 112 --val 2 --val-size 112 --least 2 --every 1
     --threads 1 --float)
 
-train() { # folder stage steps
-    script train "$2" --out "$OUT/$1" --steps "$3" "${quick[@]}"
+train() { # folder stage steps options...
+    script train "$2" --out "$OUT/$1" --steps "$3" "${quick[@]}" "${@:4}"
     grep -Eq 'loss (nan|inf)|norm (nan|inf)' "$OUT/stdout.txt" &&
         fail "$2: $(cat "$OUT/stdout.txt")"
 }
@@ -27,10 +27,14 @@ train() { # folder stage steps
 script parity
 script data "$OUT/scenes" --first 0 --count 2 --boxes 0 --size 112
 script data "$OUT/scenes" --first 1000000 --count 2 --boxes 0 --size 112
-for stage in geometry appearance render; do
-    train one $stage 2
+script data "$OUT/stereo" --stereo --first 10000000 --count 2 --stride 15
+script data "$OUT/stereo" --stereo --first 20000200 --count 1
+for stage in geometry appearance render complete; do
+    options=()
+    [ $stage = complete ] && options=(--scenes "$OUT/stereo" --val 1)
+    train one $stage 2 "${options[@]}"
     grep -q 'validation .* step 2 ' "$OUT/stdout.txt" || fail "$stage: not validated"
-    train one $stage 4
+    train one $stage 4 "${options[@]}"
     grep -q 'continues at step 2' "$OUT/stdout.txt" || fail "$stage: does not go on"
 done
 train other geometry 2
@@ -49,8 +53,23 @@ train one geometry 20
 step=$(sed -n 's/continues at step //p' "$OUT/stdout.txt")
 [ "${step:-0}" -ge 6 ] || fail "after the signal: step \"$step\""
 
-script export "$OUT/one/render.ckpt" "$OUT/model.safetensors"
+script export "$OUT/one/render.ckpt" "$OUT/model.safetensors" \
+    --complete "$OUT/one/complete.safetensors"
 succeed convert "$OUT/model.safetensors" --config "$OUT/model.json" --out "$OUT/model.hdrig"
 succeed reconstruct --images $small --size 112 --model "$OUT/model.hdrig" --refine 0 \
     --out "$OUT/scene"
+
+# from the model that ships: its completion branch stays as it is
+train more geometry 1 --init sim/train/small.safetensors
+train more appearance 1
+script export "$OUT/more/appearance.ckpt" "$OUT/more.safetensors" --bf16
+succeed convert "$OUT/more.safetensors" --config "$OUT/more.json" --out "$OUT/more.hdrig"
+"$python" - sim/train/small.safetensors "$OUT/more.safetensors" <<'END' || fail "another branch"
+import sys
+sys.path.append("sim/train")
+import export
+old, new = (export.read_tensors(path) for path in sys.argv[1:])
+same = [old[k].equal(new[k]) for k in old if k.startswith("encoder.complete.")]
+sys.exit(not (same and all(same)))
+END
 finish

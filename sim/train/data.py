@@ -3,6 +3,7 @@
 A worker process renders scenes into a folder, one file each, which is queue, cache and start of the
 next run at once:
     python3 sim/train/data.py FOLDER [--first SEED] [--count N] [--boxes SHARE] [--size PX]
+With --stereo they are what the program's own stereo makes of photographs, for completion.py.
 Replay keeps the latest of them in memory and makes batches: some of the views in random order, each
 at one exposure of a bracket, one random response curve for all, noise, 8 bits."""
 
@@ -21,10 +22,11 @@ import torch.nn.functional as F
 from torch import Tensor
 
 import boxes
+from complete import INPUTS
 
 FAR = 999.0  # m, RENDER_FAR and beyond is sky
 VALIDATION = 1_000_000  # first seed that is never trained on
-ANY, DARK, PLAIN, MIRROR = -1, 2, 3, 4  # enum world_kind
+ANY, ROOM, YARD, DARK, PLAIN, MIRROR, PARK = range(-1, 6)  # enum world_kind
 
 
 # ---- scenes ----
@@ -49,26 +51,85 @@ class Request(c.Structure):
                 ("curve_param", c.c_float), ("curve_seed", c.c_uint64), ("noise_seed", c.c_uint64)]
 
 
+class Stereo(c.Structure):
+    """struct stereo_request of sim/train/stereo.h."""
+
+    _fields_ = [("n", c.c_int), ("w", c.c_int), ("h", c.c_int), ("px", c.c_void_p),
+                ("log2t", c.c_void_p), ("cams", c.c_void_p), ("input", c.c_void_p),
+                ("guess", c.c_void_p)]
+
+
 class Worlds:
-    """sim/train/sample.h through ctypes."""
+    """sim/train/sample.h and stereo.h through ctypes."""
 
     def __init__(self, path: str):
         self.lib = c.CDLL(path)
         self.lib.sample_error.restype = c.c_char_p
 
-    def make(self, seed: int, n: int, size: int, spread: float, fov: float, kind: int):
-        q = Request(SampleScene(seed=seed, kind=kind, n_views=n, size=size, spread=spread,
-                                fov_deg=fov, jitter=1, quality=Quality(samples=1, shadow=1)))
+    def call(self, name: str, q: c.Structure, *rest) -> None:
+        rest = (c.c_void_p(a.ctypes.data) if isinstance(a, np.ndarray) else a for a in rest)
+        if getattr(self.lib, name)(c.byref(q), *rest):
+            raise RuntimeError(self.lib.sample_error().decode())
+
+    def photograph(self, q: Request) -> tuple:
+        """Radiance, depth, cameras and the exposure time (s) of 2^0."""
+        n, size = q.scene.n_views, q.scene.size
         radiance = np.empty((n, 3, size, size), np.float32)
         depth = np.empty((n, size, size), np.float32)
         cams, key = np.empty((n, 11), np.float32), c.c_double()
-        ptr = lambda a: a.ctypes.data_as(c.POINTER(c.c_float))
-        if self.lib.sample_photograph(c.byref(q), ptr(radiance), ptr(depth), ptr(cams),
-                                      c.byref(key)):
-            raise RuntimeError(self.lib.sample_error().decode())
+        self.call("sample_photograph", q, radiance, depth, cams, c.byref(key))
+        return radiance, depth, cams, key
+
+    def make(self, seed: int, n: int, size: int, spread: float, fov: float, kind: int):
+        q = Request(SampleScene(seed=seed, kind=kind, n_views=n, size=size, spread=spread,
+                                fov_deg=fov, jitter=1, quality=Quality(samples=1, shadow=1)))
+        radiance, depth, cams, _ = self.photograph(q)
         # the key counts electrons of sensor_default; here 1 is full scale, the median 0.18
         middle = np.median([np.median(v.mean(0)) for v in radiance])
         return radiance, depth, cams, 0.18 / max(float(middle), 1e-9)
+
+    def stereo(self, px: np.ndarray, stops: np.ndarray, cams: np.ndarray) -> tuple:
+        """What the completion branch is told of photographs (n, h, w, 3), and the guess."""
+        n, h, w = px.shape[:3]
+        x, guess = np.empty((n, h, w, INPUTS), np.float32), np.empty((n, h, w), np.float32)
+        at = (a.ctypes.data for a in (px, stops, cams, x, guess))
+        self.call("stereo_run", Stereo(n, w, h, *at))
+        return x, guess
+
+
+def draw_photographs(q: Request, r: np.random.Generator) -> np.ndarray:
+    """Exposures for a program that finds the response itself; how they are taken goes to q."""
+    n = q.scene.n_views
+    q.noise = int(r.random() < 0.7)
+    q.curve_family, q.curve_seed = -1, int(r.integers(1 << 40))
+    step = r.uniform(0.5, 4) if r.random() < 0.6 else 0.0
+    return (r.integers(-1, 2, n) * step + r.uniform(-0.7, 0.7)).astype(np.float32)
+
+
+def make_stereo(seed: int, worlds: Worlds) -> dict:
+    """Arrays of a world that the program's stereo has seen: its kind, what the branch is told
+    (n, h, w, INPUTS), the true residual (log2) to the guess, and sky."""
+    r = np.random.default_rng(seed + 991)
+    kind = int(r.choice([ROOM, YARD, PARK, DARK, PLAIN], p=[0.33, 0.25, 0.34, 0.05, 0.03]))
+    n = int(r.choice([2, 3, 4, 5, 6, 8, 10], p=[0.06, 0.14, 0.22, 0.2, 0.18, 0.12, 0.08]))
+    size = int(r.choice([160, 192, 224, 256]))
+    fov = float(r.uniform(40, 85))
+    spread = float(np.exp(r.uniform(math.log(0.08), math.log(0.9))))
+    orbit = float(r.choice([0, 10, 20, 30, 45])) if kind == PARK else 0.0
+    q = Request(SampleScene(seed=seed, kind=kind, n_views=n, size=size, spread=spread, fov_deg=fov,
+                            jitter=1, orbit_deg=orbit, quality=Quality(samples=2, shadow=1)))
+    radiance, depth, cams, key = worlds.photograph(q)
+    stops = draw_photographs(q, r)
+    px = np.empty((n, size, size, 3), np.uint8)
+    for i in range(n):
+        q.noise_seed = int(r.integers(1 << 40))
+        worlds.call("sample_develop", q, key, radiance[i], 1, stops[i:], px[i])
+    x, guess = worlds.stereo(px, stops, cams)
+    residual = np.clip(-np.log2(depth) - np.log2(guess), -6, 6)
+    half = {"x": x.astype(np.float16), "residual": residual.astype(np.float16)}
+    if not all(np.isfinite(a).all() for a in half.values()):
+        raise RuntimeError("stereo: numbers that are not finite")
+    return {"kind": np.array(kind), **half, "sky": depth >= FAR}
 
 
 def make_scene(seed: int, size: int, worlds: Worlds | None, easy: boxes.Boxes, share: float):
@@ -82,27 +143,34 @@ def make_scene(seed: int, size: int, worlds: Worlds | None, easy: boxes.Boxes, s
     return worlds.make(seed, n, size, spread, fov, kind)
 
 
-def save_scene(path: str, radiance, depth, cams, key) -> None:
+def make_radiance(*scene) -> dict:
+    """Arrays of a scene of make_scene."""
+    radiance, depth, cams, key = make_scene(*scene)
     half = np.clip(radiance * key, 0, 6e4).astype(np.float16)
+    return {"radiance": half, "depth": depth.astype(np.float16), "cams": cams}
+
+
+def save_scene(path: str, arrays: dict) -> None:
     part = f"{path}.{os.getpid()}.part"
     with open(part, "xb") as f:  # never somebody else's
-        np.savez(f, radiance=half, depth=depth.astype(np.float16), cams=cams)
+        np.savez(f, **arrays)
     os.replace(part, path)
 
 
 def work(a: argparse.Namespace) -> None:
     os.makedirs(a.folder, exist_ok=True)
-    easy, seed, lib = boxes.Boxes(), a.first, None
-    while seed < a.first + a.count:
+    easy, lib = boxes.Boxes(), Worlds(a.lib) if a.stereo else None
+    for seed in range(a.first, a.first + a.count * a.stride, a.stride):
         path = f"{a.folder}/{seed:08d}.npz"
         if lib is None and os.path.exists(a.lib):  # appears while others still build it
             lib = Worlds(a.lib)
-        if not os.path.exists(path):
-            try:
-                save_scene(path, *make_scene(seed, a.size, lib, easy, a.boxes))
-            except RuntimeError as e:
-                print(f"scene {seed}: {e}", flush=True)
-        seed += 1
+        if os.path.exists(path):
+            continue
+        try:
+            save_scene(path, make_stereo(seed, lib) if a.stereo else
+                       make_radiance(seed, a.size, lib, easy, a.boxes))
+        except RuntimeError as e:
+            print(f"scene {seed}: {e}", flush=True)
 
 
 # ---- batches ----
@@ -285,18 +353,23 @@ def unproject(depth: Tensor, q: Tensor, t: Tensor, fov: Tensor) -> Tensor:
 class Replay:
     """Scenes in memory; new files replace the oldest."""
 
+    first_held_out = VALIDATION
+
     def __init__(self, folder: str, capacity: int, validation: bool = False):
         self.folder, self.capacity, self.validation = folder, capacity, validation
         self.scenes: dict[str, Scene] = {}
         self.seen: set[str] = set()
         self.refresh()
 
+    def load(self, path: str) -> Scene:
+        return Scene(path)
+
     def refresh(self, limit: int = 10**9) -> None:
         names = sorted(n for n in os.listdir(self.folder) if n.endswith(".npz"))
-        names = [n for n in names if (int(n[:8]) >= VALIDATION) == self.validation]
+        names = [n for n in names if (int(n[:8]) >= self.first_held_out) == self.validation]
         for n in [n for n in names if n not in self.seen][-limit:]:
             self.seen.add(n)
-            self.scenes[n] = Scene(f"{self.folder}/{n}")
+            self.scenes[n] = self.load(f"{self.folder}/{n}")
         while len(self.scenes) > self.capacity:
             del self.scenes[next(iter(self.scenes))]
 
@@ -327,6 +400,8 @@ if __name__ == "__main__":
     p.add_argument("folder")
     p.add_argument("--first", type=int, default=0)
     p.add_argument("--count", type=int, default=10**9)
+    p.add_argument("--stride", type=int, default=1, help="from seed to seed: how many share them")
+    p.add_argument("--stereo", action="store_true", help="for the stage complete")
     p.add_argument("--boxes", type=float, default=0.15)
     p.add_argument("--size", type=int, default=224)
     p.add_argument("--lib", default="build/x86_64-pic/libsim.so")

@@ -1,16 +1,18 @@
-"""Checkpoint of train.py to a weights file: python3 sim/train/export.py CKPT OUT.safetensors [bf16]
+"""A weights file from a checkpoint of train.py, or from such a file and a completion branch:
+    python3 sim/train/export.py MODEL OUT.safetensors [--bf16] [--complete complete.safetensors]
 Writes OUT.json beside it; then: hdrig convert OUT.safetensors --config OUT.json --out M.hdrig"""
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 import struct
-import sys
 
 import numpy as np
 import torch
 
+import complete
 import model
 
 
@@ -53,12 +55,39 @@ def export(net: model.Net, path: str, state: dict | None = None, bf16: bool = Fa
     net.d.write(os.path.splitext(path)[0] + ".json")
 
 
+def read_dims(path: str) -> dict:
+    """Those of a model that export wrote."""
+    with open(os.path.splitext(path)[0] + ".json") as f:
+        return json.load(f)["model"]
+
+
 def load(path: str) -> model.Net:
-    c = torch.load(path, map_location="cpu", weights_only=False)
-    net = model.Net(model.Dims(**c["dims"]))
-    net.load_state_dict(c.get("average") or c["model"])
+    """Of a checkpoint, or of a model that export wrote."""
+    if path.endswith(".safetensors"):
+        dims, state = read_dims(path), read_tensors(path)
+    else:
+        c = torch.load(path, map_location="cpu", weights_only=False)
+        dims, state = c["dims"], c.get("average") or c["model"]
+    net = model.Net(model.Dims(**dims))
+    net.load_state_dict(state)
     return net
 
 
+def join(net: model.Net, branch: dict[str, torch.Tensor]) -> None:
+    """The completion branch that the stage `complete` wrote, instead of what is there."""
+    net.d.complete = True
+    net.encoder.complete = complete.Complete()
+    net.encoder.complete.load_state_dict(branch)
+
+
 if __name__ == "__main__":
-    export(load(sys.argv[1]), sys.argv[2], bf16="bf16" in sys.argv[3:])
+    p = argparse.ArgumentParser()
+    p.add_argument("model", help="checkpoint, or .safetensors with .json")
+    p.add_argument("out", help=".safetensors")
+    p.add_argument("--bf16", action="store_true")
+    p.add_argument("--complete", help="complete.safetensors to put in")
+    a = p.parse_args()
+    net = load(a.model)
+    if a.complete:
+        join(net, read_tensors(a.complete))
+    export(net, a.out, bf16=a.bf16)

@@ -18,6 +18,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from complete import Complete
+
 PATCH, SPECIAL, GRID = 14, 5, 37
 RAW, SENSITIVITY, THETA, CURVE = 84, 4, 1926, 193
 POSE_ROUNDS = 4
@@ -46,6 +48,7 @@ class Dims:
     gauss: bool = True
     appearance: bool = True
     rope_bf16: bool = True  # hdrig convert takes every file as trained with rounded angles
+    complete: bool = False
 
     def write(self, path: str) -> None:
         """As `hdrig convert --config` reads it."""
@@ -537,6 +540,8 @@ class Encoder(nn.Module):
             self.hdr_conv = nn.Sequential(nn.Conv2d(c, c, 3, padding=1), nn.ReLU(),
                                           nn.Conv2d(c, RAW, 1))
             self.generate_tonemapper = ToneMapper(d)
+        if d.complete:  # no part of the forward pass
+            self.complete = Complete()
 
 
 class Net(nn.Module):

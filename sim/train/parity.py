@@ -4,7 +4,8 @@
 
 Exports the weights (CKPT, or random ones with every bias disturbed), converts them, reconstructs
 the pictures with --refine 0 --dump and compares poses, depth, raw Gaussians, curves and the fused
-Gaussians that redraw.py makes of them. The bar is 1e-4 of the largest value."""
+Gaussians that redraw.py makes of them. The completion branch, which the C network does not show, is
+compared with itself as it learns, with norms. The bar is 1e-4 of the largest value."""
 
 from __future__ import annotations
 
@@ -18,6 +19,7 @@ import tempfile
 import numpy as np
 import torch
 
+import complete
 import export
 import model
 import redraw
@@ -25,7 +27,7 @@ import redraw
 BAR = 1e-4
 
 
-def disturb(net: model.Net) -> None:
+def disturb(net: torch.nn.Module) -> None:
     g = torch.Generator().manual_seed(3)
     with torch.no_grad():
         for p in net.parameters():
@@ -46,7 +48,7 @@ def main() -> int:
         disturb(net)
     with tempfile.TemporaryDirectory() as d:
         dump = reconstruct(net, q, d)
-        return compare(net, dump)
+        return compare(net, dump) or compare_folded()
 
 
 def reconstruct(net: model.Net, q: argparse.Namespace, d: str) -> dict:
@@ -83,7 +85,7 @@ def fused(dump: dict, cell: float) -> dict:
             "vox.harmonics": planes[11:].T}
 
 
-def compare(net: model.Net, dump: dict) -> int:
+def compare(net: model.Net, dump: dict) -> bool:
     images = torch.from_numpy(dump["input.image"])
     stops = torch.from_numpy(dump["hdr.rel_logt"])
     with torch.no_grad():
@@ -97,17 +99,32 @@ def compare(net: model.Net, dump: dict) -> int:
         got[f"agg.keep{i}"] = o["keep"][k]
     got["camera.pose_enc_iter3"] = o["pose"][-1]
     got.update(fused(dump, net.d.voxel))
-    bad = 0
+    bad = False
     for name, t in got.items():
         want, have = dump[name].ravel(), t.numpy().ravel()
         if name.startswith("camera.pose"):  # the dump is before ReLU
             want, have = (x.reshape(-1, 9).copy() for x in (want, have))
             want[:, 7:], have[:, 7:] = np.maximum(want[:, 7:], 0), np.maximum(have[:, 7:], 0)
             want, have = want.ravel(), have.ravel()
-        err = np.abs(want - have).max() / np.abs(want).max() if want.size == have.size else np.inf
-        bad += not err <= BAR
-        print(f"{name:24s} {want.size:9d} {err:.2e}{'' if err <= BAR else '  <-- differs'}")
-    return 1 if bad else 0
+        bad |= differs(name, want, have)
+    return bad
+
+
+def differs(name: str, want: np.ndarray, have: np.ndarray) -> bool:
+    err = np.abs(want - have).max() / np.abs(want).max() if want.size == have.size else np.inf
+    print(f"{name:24s} {want.size:9d} {err:.2e}{'' if err <= BAR else '  <-- differs'}")
+    return not err <= BAR
+
+
+@torch.no_grad()
+def compare_folded() -> bool:
+    with_norms, without = complete.Complete(norm=True), complete.Complete()
+    for _ in range(100):  # norms learn the mean and the variance
+        with_norms(3 * torch.rand(2, complete.INPUTS, 40, 24))
+    disturb(with_norms.eval())
+    without.load_state_dict(with_norms.folded())
+    x = torch.rand(1, complete.INPUTS, 37, 50)
+    return differs("complete", with_norms(x).numpy().ravel(), without(x).numpy().ravel())
 
 
 if __name__ == "__main__":

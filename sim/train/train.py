@@ -3,54 +3,32 @@
     python3 sim/train/train.py geometry   --out DIR --scenes DIR --minutes 60
     python3 sim/train/train.py appearance --out DIR --scenes DIR --minutes 20
     python3 sim/train/train.py render     --out DIR --scenes DIR --minutes 20
+    python3 sim/train/train.py complete   --out DIR --scenes DIR --minutes 9
 
 A run continues from DIR/STAGE.ckpt if there is one."""
 
 from __future__ import annotations
 
 import argparse
-import copy
 import json
-import math
 import os
-import signal
-import time
 
 import numpy as np
 import torch
 from torch import Tensor
 
+import completion
 import data
 import export
 import losses
 import model
 import redraw
+import stage
 
-CLIP = 1.0  # norm of the gradient
-
-
-class Schedule:
-    """Share of the run that is over, by the clock or by steps; DIR/STAGE_DEADLINE wins."""
-
-    def __init__(self, q: argparse.Namespace, spent: float):
-        self.q, self.spent, self.start = q, spent, time.time()
-        self.end = self.start + 60 * q.minutes - spent
-
-    def seconds(self) -> float:
-        return self.spent + time.time() - self.start
-
-    def share(self, step: int) -> float:
-        if self.q.steps:
-            return min(step / self.q.steps, 1.0)
-        path = f"{self.q.out}/{self.q.stage.upper()}_DEADLINE"
-        end = float(open(path).read() or 0) if os.path.exists(path) else self.end
-        begin = self.start - self.spent
-        return min(max((time.time() - begin) / max(end - begin, 1.0), 0.0), 1.0)
-
-
-def rate(step: int, share: float, q: argparse.Namespace) -> float:
-    warm = min(1.0, (step + 1) / q.warm)
-    return q.rate * warm * (0.02 + 0.98 * 0.5 * (1 + math.cos(math.pi * share)))
+PREVIOUS = {"appearance": "geometry", "render": "appearance"}
+# The completion branch is small and sees single views: 64 of 160 px make a batch.
+COMPLETE = {"rate": 2e-3, "warm": 200, "decay": 0.998, "tokens": 8360, "val_every": 2000,
+            "every": 250, "capacity": 10**6}
 
 
 def draw_shape(r: np.random.Generator, share: float, q: argparse.Namespace) -> tuple:
@@ -63,82 +41,56 @@ def draw_shape(r: np.random.Generator, share: float, q: argparse.Namespace) -> t
     return max(1, int(q.tokens / (v * patches))), v + (q.stage == "render"), size
 
 
-class Trainer:
-    def __init__(self, q: argparse.Namespace, dims: model.Dims):
-        self.q = q
-        self.net = model.make(dims, q.seed).to(q.device)
-        self.rng = np.random.default_rng(q.seed)
-        self.step, self.views, self.spent = 0, 0, 0.0
-        self.raster = redraw.Raster(q.lib, q.threads) if q.stage == "render" else None
-        self.log: list[dict] = []
-        self.stage_params()
-        self.average = copy.deepcopy(self.net).eval()
-        self.resume()
-        self.schedule = Schedule(q, self.spent)
-        self.stop = False
-        signal.signal(signal.SIGTERM, lambda *_: setattr(self, "stop", True))
+class Trainer(stage.Stage):
+    """The stages of the network that goes from photographs to Gaussians."""
 
-    def stage_params(self) -> None:
-        e = self.net.encoder
-        geometry = [e.aggregator, e.camera_head, e.depth_head]
-        learn = self.q.stage == "geometry"
-        for p in self.net.parameters():
-            p.requires_grad_(not learn)
-        for m in geometry:
+    def __init__(self, q: argparse.Namespace, dims: model.Dims):
+        net = model.make(dims, q.seed).to(q.device)
+        self.raster = redraw.Raster(q.lib, q.threads) if q.stage == "render" else None
+        super().__init__(q, net, self.make_optimizer(net, q))
+
+    @staticmethod
+    def make_optimizer(net: model.Net, q: argparse.Namespace) -> torch.optim.Optimizer:
+        """Which weights learn, and how fast."""
+        e, learn = net.encoder, q.stage == "geometry"
+        net.requires_grad_(not learn)
+        for m in (e.aggregator, e.camera_head, e.depth_head):
             m.requires_grad_(learn)
-        self.net.encoder.aggregator.patch_embed.mask_token.requires_grad_(False)
+        e.aggregator.patch_embed.mask_token.requires_grad_(False)
+        if net.d.complete:  # learned apart, kept as it is
+            e.complete.requires_grad_(False)
         if not learn:
             for m in (e.gaussian_param_head.input_merger,
                       e.gaussian_param_head.scratch.output_conv2):
                 m.requires_grad_(False)
         groups = {}
-        for name, p in self.net.named_parameters():
+        for name, p in net.named_parameters():
             if p.requires_grad:
                 slow = not learn and "tonemapper" not in name  # dark pixels: steep, see model.py
                 groups.setdefault((p.ndim > 1, slow), []).append(p)
-        self.opt = torch.optim.AdamW(
-            [{"params": p, "weight_decay": 0.02 * wide, "scale": self.q.slow if slow else 1.0}
+        return torch.optim.AdamW(
+            [{"params": p, "weight_decay": 0.02 * wide, "scale": q.slow if slow else 1.0}
              for (wide, slow), p in groups.items()],
-            lr=self.q.rate, betas=(0.9, 0.98), fused=True)
+            lr=q.rate, betas=(0.9, 0.98), fused=True)
 
-    # ---- checkpoints ----
-
-    def path(self, stage: str | None = None) -> str:
-        return f"{self.q.out}/{stage or self.q.stage}.ckpt"
-
-    def resume(self) -> None:
-        if os.path.exists(self.path()):
-            c = torch.load(self.path(), map_location=self.q.device, weights_only=False)
-            self.net.load_state_dict(c["model"])
-            self.average.load_state_dict(c["average"])
-            self.opt.load_state_dict(c["opt"])
-            self.rng.bit_generator.state = c["rng"]
-            self.step, self.views, self.spent = c["step"], c["views"], c["spent"]
-            self.log = c["log"]
-            print(f"continues at step {self.step}", flush=True)
-        elif self.q.init:
+    def begin(self) -> None:
+        if self.q.init:
             self.net.load_state_dict(export.read_tensors(self.q.init))
-            self.average.load_state_dict(self.net.state_dict())
-        elif self.q.stage == "render":
-            c = torch.load(self.path("appearance"), map_location=self.q.device, weights_only=False)
-            self.net.load_state_dict(c["average"])
-            self.average.load_state_dict(c["average"])
-        elif self.q.stage == "appearance":
-            c = torch.load(self.path("geometry"), map_location=self.q.device, weights_only=False)
-            geometry = {k: v for k, v in c["average"].items() if ".".join(k.split(".")[:2]) in
-                        ("encoder.aggregator", "encoder.camera_head", "encoder.depth_head")}
-            self.net.load_state_dict(geometry, strict=False)
-            self.average.load_state_dict(self.net.state_dict())
+        elif self.q.stage in PREVIOUS:
+            c = torch.load(self.path(PREVIOUS[self.q.stage]), map_location=self.q.device,
+                           weights_only=False)
+            begun = self.q.stage == "render"
+            weights = {k: v for k, v in c["average"].items()
+                       if begun or k.split(".")[1] in ("aggregator", "camera_head", "depth_head",
+                                                       "complete")}
+            self.net.load_state_dict(weights, strict=begun)
+        self.average.load_state_dict(self.net.state_dict())
 
-    def save(self) -> None:
-        c = {"dims": vars(self.net.d), "model": self.net.state_dict(),
-             "average": self.average.state_dict(), "opt": self.opt.state_dict(),
-             "rng": self.rng.bit_generator.state, "step": self.step, "views": self.views,
-             "spent": self.schedule.seconds(), "log": self.log}
-        part = f"{self.path()}.{os.getpid()}.part"
-        with open(part, "xb") as f:  # never somebody else's
-            torch.save(c, f)
-        os.replace(part, self.path())
+    def state(self) -> dict:
+        return {"dims": vars(self.net.d), **super().state()}
+
+    def export(self, path: str) -> None:
+        export.export(self.average, path)
 
     # ---- losses ----
 
@@ -231,78 +183,27 @@ class Trainer:
                 total.setdefault(k, []).append(float(x))
         return {k: float(np.mean(x)) for k, x in total.items()}
 
-    # ---- the loop ----
-
-    def train_step(self, scenes: data.Replay, share: float) -> dict:
+    def loss(self, scenes: data.Replay, share: float) -> tuple[Tensor, dict, int]:
         n, v, size = draw_shape(self.rng, share, self.q)
         b = scenes.batch(self.rng, n, v, size).to(self.q.device)
-        for g in self.opt.param_groups:
-            g["lr"] = rate(self.step, share, self.q) * g["scale"]
-        loss, parts = self.forward(self.net, b, share)
-        self.opt.zero_grad(set_to_none=True)
-        loss.backward()
-        learn = [p for p in self.net.parameters() if p.grad is not None]
-        norm = torch.nn.utils.clip_grad_norm_(learn, CLIP)
-        if torch.isfinite(norm):
-            self.opt.step()
-        self.step += 1
-        self.views += n * v
-        decay = min(self.q.decay, self.step / (self.step + 10))
-        with torch.no_grad():
-            for a, p in zip(self.average.parameters(), self.net.parameters()):
-                if p.requires_grad:
-                    a.lerp_(p, 1 - decay)
-        return {"loss": loss, "norm": norm, **parts}
-
-    def run(self) -> None:
-        q = self.q
-        scenes = data.Replay(q.scenes, q.capacity)
-        scenes.wait(q.least)
-        held_out = data.Replay(q.scenes, 64, True)
-        held_out.wait(min(4, q.val))
-        sums, since, saved, exported, views = {}, time.time(), time.time(), 0.0, self.views
-        while (share := self.schedule.share(self.step)) < 1 and not self.stop:
-            for k, x in self.train_step(scenes, share).items():
-                sums.setdefault(k, []).append(float(x.detach()))
-            if self.step % q.every == 0:
-                used = time.time() - since
-                line = {k: float(np.nanmean(x)) for k, x in sums.items()}
-                print(f"{self.schedule.seconds() / 60:6.1f} min step {self.step} "
-                      f"{q.every / used:.2f} steps/s {(self.views - views) / used:.1f} views/s "
-                      f"{len(scenes.scenes)} scenes  {show(line)}", flush=True)
-                sums, since, views = {}, time.time(), self.views
-                scenes.refresh(40)
-            if self.step % q.val_every == 0:
-                self.report(held_out)
-                since = time.time()
-            if time.time() - saved > q.save_s:
-                self.save()
-                saved = time.time()
-            if time.time() - exported > q.snap_s:
-                export.export(self.average, f"{q.out}/snap.safetensors")
-                exported = time.time()
-        self.save()
-        if not self.stop:
-            self.report(held_out)
-            self.save()
-            export.export(self.average, f"{q.out}/{q.stage}.safetensors")
-
-    def report(self, held_out: data.Replay) -> None:
-        f = self.validate(held_out)
-        f.update(step=self.step, minutes=self.schedule.seconds() / 60, views=self.views)
-        self.log.append(f)
-        print(f"  validation {show(f)}", flush=True)
-        with open(f"{self.q.out}/{self.q.stage}.json", "w") as out:
-            json.dump(self.log, out, indent=1)
+        return *self.forward(self.net, b, share), n * v
 
 
-def show(f: dict) -> str:
-    return " ".join(f"{k} {v:.4g}" for k, v in f.items())
+def dims_of(q: argparse.Namespace) -> dict:
+    """Those of the weights that the run goes on or starts from, and --dims."""
+    before = q.stage if q.init else PREVIOUS.get(q.stage, q.stage)
+    for path in (f"{q.out}/{name}.ckpt" for name in (q.stage, before)):
+        if os.path.exists(path):
+            old = torch.load(path, map_location="cpu", weights_only=False)["dims"]
+            break
+    else:
+        old = export.read_dims(q.init) if q.init else {}
+    return {**old, **json.loads(q.dims)}
 
 
 def options() -> argparse.Namespace:
     p = argparse.ArgumentParser()
-    p.add_argument("stage", choices=["geometry", "appearance", "render"])
+    p.add_argument("stage", choices=["geometry", "appearance", "render", "complete"])
     p.add_argument("--out", default="/tmp/train")
     p.add_argument("--scenes", default="/tmp/train/scenes")
     p.add_argument("--init", help=".safetensors to start from, without a checkpoint")
@@ -333,11 +234,20 @@ def options() -> argparse.Namespace:
     p.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     p.add_argument("--threads", type=int, default=2)
     p.add_argument("--float", dest="bf16", action="store_false", help="no bfloat16")
-    return p.parse_args()
+    q = p.parse_args()
+    if q.stage == "complete":
+        if q.init:
+            p.error("--init: a file has no norms, without which the branch does not learn on")
+        p.set_defaults(**COMPLETE)
+        q = p.parse_args()
+    return q
 
 
 if __name__ == "__main__":
     q = options()
     torch.set_num_threads(q.threads)
     os.makedirs(q.out, exist_ok=True)
-    Trainer(q, model.Dims(**json.loads(q.dims))).run()
+    if q.stage == "complete":
+        completion.Completion(q).run()
+    else:
+        Trainer(q, model.Dims(**dims_of(q))).run()
