@@ -1,6 +1,7 @@
 #include "core/stereo/fill.h"
 
 #include "core/base/num.h"
+#include "core/base/rotation.h"
 #include "core/base/shell.h"
 #include "core/stereo/far.h"
 
@@ -149,29 +150,25 @@ static void fill_seen(const struct fill *f, int view, float *out)
 
 /* ---- what other views have measured ---- */
 
-static float centre_distance(const struct fill *f, int a, int b)
+/* Squared, between the cameras. */
+static double centre_distance(const struct fill *f, int a, int b)
 {
-    float p[2][3], sum = 0;
-    const int view[2] = {a, b};
-    for (int k = 0; k < 2; k++) {
-        const float *r = f->vis.rotation[view[k]], *t = f->vis.cams[view[k]].t;
-        for (int c = 0; c < 3; c++)
-            p[k][c] = r[c] * t[0] + r[3 + c] * t[1] + r[6 + c] * t[2];
-    }
-    for (int c = 0; c < 3; c++)
-        sum += (p[0][c] - p[1][c]) * (p[0][c] - p[1][c]);
+    double p[3], q[3], sum = 0;
+    rotation_centre(&f->vis.cams[a], p);
+    rotation_centre(&f->vis.cams[b], q);
+    for (int k = 0; k < 3; k++)
+        sum += (p[k] - q[k]) * (p[k] - q[k]);
     return sum;
 }
 
 /* Whether view j is one of the OTHERS_MAX nearest ones. */
 static bool is_near(const struct fill *f, int view, int j)
 {
-    float d[2];
+    const double d = centre_distance(f, view, j);
     int nearer = 0;
-    d[0] = centre_distance(f, view, j);
     for (int k = 0; k < f->depth->n && nearer < OTHERS_MAX; k++) {
-        d[1] = centre_distance(f, view, k);
-        nearer += k != view && k != j && (d[1] < d[0] || (d[1] == d[0] && k < j));
+        const double other = centre_distance(f, view, k);
+        nearer += k != view && k != j && (other < d || (other <= d && k < j));
     }
     return j != view && nearer < OTHERS_MAX;
 }
