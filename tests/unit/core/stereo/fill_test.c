@@ -155,6 +155,18 @@ static void what_others_have_measured_is_told(void **state)
     assert_true(known(12, 8)[FILL_OTHERS] == 0.5f);
 }
 
+static void what_is_far_does_not_count_in_the_median(void **state)
+{
+    (void)state;
+    for (int k = 0; k < 3 * MPX / 4; k++) {
+        w.depth[k] = 1e5f;
+        w.far[k] = true;
+        w.conf[k] = FAR_CONF;
+    }
+    fill_input(&w.f, 0, w.input);
+    assert_true(known(3, MAP - 1)[FILL_STEREO] == 0);
+}
+
 static void nothing_usable_is_told_in_numbers(void **state)
 {
     (void)state;
@@ -163,6 +175,7 @@ static void nothing_usable_is_told_in_numbers(void **state)
     fill_input(&w.f, 0, w.input);
     for (int k = 0; k < MPX * FILL_INPUT; k++)
         assert_true(fabsf(w.input[k]) <= 3);
+    assert_true(fabsf(known(7, 7)[FILL_GUESS]) < 1e-6f && fabsf(known(7, 7)[FILL_STEREO]) < 1e-6f);
 }
 
 static void answer(int at, float residual, float spread, float far)
@@ -242,8 +255,12 @@ static void an_answer_beyond_reason_is_limited(void **state)
     for (int k = 0; k < MPX; k++)
         answer(k, k % 2 ? 1e9f : -1e9f, 0, -9);
     (void)fill_take(&w.f, 0, w.answer, &w.maps);
-    for (int k = 0; k < MPX; k++)
-        assert_true(w.depth[k] >= WALL / 65 && w.depth[k] <= WALL * 65 && !w.far[k]);
+    const struct shell shell = shell_of(w.cams, VIEWS); // nearer than 64 walls
+    for (int k = 0; k < MPX; k++) {
+        const float u = 2 * (float)(k % MAP) + 1, v = 2 * (float)(k / MAP) + 1;
+        const float most = SHELL_INSIDE * shell_depth(&shell, w.cams, u, v);
+        assert_true(!w.far[k] && fabsf(w.depth[k] / (k % 2 ? WALL / 64 : most) - 1) < 1e-5f);
+    }
 }
 
 int main(void)
@@ -253,6 +270,7 @@ int main(void)
         TEST(light_is_in_stops_over_the_median_of_the_view),
         TEST(depth_is_in_stops_over_the_median_of_what_is_usable),
         TEST(what_others_have_measured_is_told),
+        TEST(what_is_far_does_not_count_in_the_median),
         TEST(nothing_usable_is_told_in_numbers),
         TEST(what_stereo_is_sure_of_stays_unless_it_is_doubted),
         TEST(other_depth_is_taken_and_is_usable_where_the_branch_is_sure),
