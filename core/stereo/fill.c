@@ -18,6 +18,7 @@ static const float STOPS = 6.0f; // light and inverse depth are limited to so ma
 
 static const float SURE = -2.0f;       // ln of b below which a depth is usable: a tenth of it
 static const float GUESSED = 0.29f;    // confidence of others: not usable
+static const float ABOUT = 0.1f;       // relative difference of depths
 static const float DOUBT = 3.0f;       // times b, where the branch overrules stereo
 static const float DOUBT_LEAST = 0.1f; // stops: below, both mean the same surface
 static const float IS_FAR = 1.0f, NOT_FAR = -1.0f; // logits
@@ -228,10 +229,24 @@ void fill_input(struct fill *f, int view, float *out)
 
 /* ---- the answer ---- */
 
-/* A depth that the branch is sure of is usable, but not confirmed; any other is a better guess. */
-static float confidence_of(const float *answer)
+/* Whether another view has confirmed a surface about there, which is that view's to show. */
+static bool is_measured(const struct fill *f, int view, const float uvz[3])
 {
-    return answer[FILL_SPREAD] < SURE ? SWEEP_CONF_USABLE : GUESSED;
+    bool found = false;
+    float point[3];
+    struct projected p;
+    visibility_unproject(&f->vis, view, uvz, point);
+    for (int j = 0; j < f->depth->n && !found; j++)
+        found = j != view && visibility_project(&f->vis, j, point, &p) &&
+                visibility_confident(&f->vis, p.at) &&
+                fabsf(p.z / f->depth->depth[p.at] - 1.0f) < ABOUT;
+    return found;
+}
+
+/* A depth that the branch is sure of is usable, but not confirmed; any other is a better guess. */
+static float confidence_of(const struct fill *f, int view, const float uvz[3], const float *answer)
+{
+    return answer[FILL_SPREAD] < SURE && !is_measured(f, view, uvz) ? SWEEP_CONF_USABLE : GUESSED;
 }
 
 /* Whether a pixel sees the shell: what far_run said holds unless the branch is sure of the
@@ -261,13 +276,14 @@ size_t fill_take(struct fill *f, int view, const float *answer, struct depthmaps
         const bool was = d->far && d->far[at], far = d->far && sees_shell(was, answer);
         if (far == was && (far || !is_lost(d->conf[at], answer)))
             continue;
-        const float most = d->far ? shell_depth(&shell, &f->views->cams[view],
-                                                ((float)((int)i % map->w) + 0.5f) * s,
-                                                ((float)((int)i / map->w) + 0.5f) * s)
-                                  : INFINITY;
-        const float depth = 1.0f / (f->rho[i] * exp2f(limit(answer[FILL_RESIDUAL])));
-        d->depth[at] = far ? most : fminf(depth, SHELL_INSIDE * most);
-        d->conf[at] = far ? FAR_CONF : confidence_of(answer);
+        float uvz[3] = {((float)((int)i % map->w) + 0.5f) * s,
+                        ((float)((int)i / map->w) + 0.5f) * s,
+                        1.0f / (f->rho[i] * exp2f(limit(answer[FILL_RESIDUAL])))};
+        const float most =
+            d->far ? shell_depth(&shell, &f->views->cams[view], uvz[0], uvz[1]) : INFINITY;
+        uvz[2] = far ? most : fminf(uvz[2], SHELL_INSIDE * most);
+        d->depth[at] = uvz[2];
+        d->conf[at] = far ? FAR_CONF : confidence_of(f, view, uvz, answer);
         if (d->far)
             d->far[at] = far;
         taken++;

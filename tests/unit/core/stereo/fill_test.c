@@ -204,7 +204,7 @@ static void what_stereo_is_sure_of_stays_unless_it_is_doubted(void **state)
     answer(10, 0.5f, -1.9f, -9);
     assert_int_equal(fill_take(&w.f, 0, w.answer, &w.maps), 2);
     assert_true(fabsf(w.depth[9] - WALL * exp2f(-0.11f)) < 1e-3f);
-    assert_true(w.conf[9] == SWEEP_CONF_USABLE);
+    assert_true(w.conf[9] < SWEEP_CONF_USABLE); // others have measured the wall there
     assert_true(fabsf(w.depth[10] - WALL * exp2f(-0.5f)) < 1e-3f);
     assert_true(w.conf[10] < SWEEP_CONF_USABLE);
 }
@@ -223,6 +223,29 @@ static void other_depth_is_taken_and_is_usable_where_the_branch_is_sure(void **s
     assert_true(fabsf(w.depth[MPX + 3] - WALL * sqrtf(2)) < 1e-3f);
     assert_true(w.conf[MPX + 3] < SWEEP_CONF_USABLE);
     assert_true(w.depth[MPX + 91] == WALL && w.depth[90] == WALL);
+}
+
+/* A tenth of the depth is about there. */
+static void what_another_view_has_measured_is_its_own_to_show(void **state)
+{
+    (void)state;
+    for (int k = 0; k < MPX; k++)
+        answer(k, 0, -6, -9);
+    answer(90, 0.13f, -6, -9);
+    answer(91, 0.17f, -6, -9);
+    for (int k = 90; k < 93; k++)
+        w.conf[MPX + k] = 0;
+    (void)fill_take(&w.f, 1, w.answer, &w.maps);
+    assert_true(w.conf[MPX + 90] < SWEEP_CONF_USABLE && w.conf[MPX + 92] < SWEEP_CONF_USABLE);
+    assert_true(w.conf[MPX + 91] == SWEEP_CONF_USABLE);
+    for (int i = 0; i < VIEWS; i++) // nobody has
+        for (int k = 0; k < MPX; k++)
+            w.conf[i * MPX + k] = 0.5f;
+    for (int k = 90; k < 93; k++)
+        w.conf[MPX + k] = 0;
+    (void)fill_take(&w.f, 1, w.answer, &w.maps);
+    for (int k = 90; k < 93; k++)
+        assert_true(w.conf[MPX + k] == SWEEP_CONF_USABLE);
 }
 
 static void sky_goes_to_the_shell_and_what_is_none_comes_back(void **state)
@@ -274,6 +297,7 @@ int main(void)
         TEST(nothing_usable_is_told_in_numbers),
         TEST(what_stereo_is_sure_of_stays_unless_it_is_doubted),
         TEST(other_depth_is_taken_and_is_usable_where_the_branch_is_sure),
+        TEST(what_another_view_has_measured_is_its_own_to_show),
         TEST(sky_goes_to_the_shell_and_what_is_none_comes_back),
         TEST(an_answer_beyond_reason_is_limited),
     };
