@@ -199,6 +199,8 @@ static void both_ways_in_order(void **state)
     expect_ok(mqtt_subscribe(a, "rig/+/a", 1)); // before or after it is connected
     expect_up(a);
     expect_up(b);
+    expect_ok(mqtt_publish(a, "rig/0/a", "x", 1, false)); // then the broker knows what a wants
+    expect_message(a, "rig/0/a", "x", false);
     expect_ok(mqtt_subscribe(b, "rig/#", 1));
     expect_ok(mqtt_publish(b, "rig/wait", "x", 1, false));
     expect_message(b, "rig/wait", "x", false);
