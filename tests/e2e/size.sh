@@ -30,12 +30,12 @@ at_least "PSNR of smaller pictures" "$(number "$OUT/small.json" ldr psnr)" \
     "$(number "$OUT/own.json" ldr psnr)"
 
 # what memory allows: refused with a size that fits, or chosen
-expect 3 'needs [0-9]* MB.*; --size [0-9]+ would fit' "${job[@]}" --size full --max-memory 100 \
+expect 3 'needs [0-9]* MB.*; --size [0-9]+ would fit' "${job[@]}" --size full --max-memory 120 \
     --refine 1 --out "$OUT/no"
 fits=$(sed -n 's/.*--size \([0-9]*\) would fit.*/\1/p' "$ERR")
-succeed "${job[@]}" --max-memory 100 --refine 1 --out "$OUT/auto"
+succeed "${job[@]}" --max-memory 120 --refine 1 --out "$OUT/auto"
 [ "$(size_of auto)" = "$fits" ] || fail "auto chose $(size_of auto) px where $fits px fit"
-succeed "${job[@]}" --size "$fits" --max-memory 100 --refine 1 --out "$OUT/fits"
+succeed "${job[@]}" --size "$fits" --max-memory 120 --refine 1 --out "$OUT/fits"
 
 # one pixel wide
 cut narrow crop=1:600
