@@ -29,32 +29,21 @@ static size_t pixel_count(const struct level *l)
     return (size_t)l->h * (size_t)l->w;
 }
 
-/* 3 x 3 on a map of (h, w). */
-static struct layer_conv conv3x3(const struct unet *u, const struct weight *w, int h, int w_px)
-{
-    return (struct layer_conv){.w = w,
-                               .kh = 3,
-                               .kw = 3,
-                               .stride = 1,
-                               .pad = 1,
-                               .channels = w->seg / 3,
-                               .h = h,
-                               .w_px = w_px,
-                               .floats = u->floats};
-}
-
+/* To level l from the one before, or from the input. */
 static struct layer_conv down_conv(const struct unet *u, const struct complete_in *in, int l)
 {
-    if (l == 0)
-        return conv3x3(u, u->w->down, in->h, in->w);
-    struct layer_conv c = conv3x3(u, u->w->down + l, u->level[l - 1].h, u->level[l - 1].w);
-    c.stride = 2;
+    struct layer_conv c = l == 0
+                              ? conv_3x3(u->w->down, in->h, in->w, 1)
+                              : conv_3x3(u->w->down + l, u->level[l - 1].h, u->level[l - 1].w, 2);
+    c.floats = u->floats;
     return c;
 }
 
 static struct layer_conv level_conv(const struct unet *u, const struct weight *w, int l)
 {
-    return conv3x3(u, w, u->level[l].h, u->level[l].w);
+    struct layer_conv c = conv_3x3(w, u->level[l].h, u->level[l].w, 1);
+    c.floats = u->floats;
+    return c;
 }
 
 static void swap_maps(struct level *l)

@@ -30,6 +30,19 @@ struct layer_conv {
     bool floats;
 };
 
+/* The 3 x 3 convolution of w over a map of (h, w_px), padded by 1; the caller sets the rest. */
+static inline struct layer_conv conv_3x3(const struct weight *w, int h, int w_px, int stride)
+{
+    return (struct layer_conv){.w = w,
+                               .kh = 3,
+                               .kw = 3,
+                               .stride = stride,
+                               .pad = 1,
+                               .channels = w->seg / 3,
+                               .h = h,
+                               .w_px = w_px};
+}
+
 /* Size of its output: floor((in + 2 pad - kernel) / stride) + 1. */
 static inline int conv_size(int in, int kernel, int stride, int pad)
 {

@@ -30,18 +30,11 @@ static size_t pixel_count(int size)
 
 static struct layer_conv tail_conv(const struct net *net, int size, const struct dpt_blend *b)
 {
-    const struct weight *w = &net->depth_out.a;
-    return (struct layer_conv){.w = w,
-                               .kh = 3,
-                               .kw = 3,
-                               .stride = 1,
-                               .pad = 1,
-                               .channels = w->seg / 3,
-                               .h = size,
-                               .w_px = size,
-                               .fetch = dpt_blend_fetch,
-                               .ctx = b,
-                               .floats = net->floats & NET_FLOAT_HEADS};
+    struct layer_conv c = conv_3x3(&net->depth_out.a, size, size, 1);
+    c.fetch = dpt_blend_fetch;
+    c.ctx = b;
+    c.floats = net->floats & NET_FLOAT_HEADS;
+    return c;
 }
 
 static err_t layout_code(float **code, struct arena *tmp, const struct net *net, int size)

@@ -241,18 +241,12 @@ static err_t upsample_tokens(const struct trunk *t, int k, const float *in, floa
 
 /* ---- convolutions ---- */
 
-static struct layer_conv conv3x3(const struct weight *w, int edge, int stride, const void *map)
+static struct layer_conv map_conv(const struct weight *w, int edge, int stride, const void *map)
 {
-    return (struct layer_conv){.w = w,
-                               .kh = 3,
-                               .kw = 3,
-                               .stride = stride,
-                               .pad = 1,
-                               .channels = w->seg / 3,
-                               .h = edge,
-                               .w_px = edge,
-                               .fetch = layer_map_fetch,
-                               .ctx = map};
+    struct layer_conv c = conv_3x3(w, edge, edge, stride);
+    c.fetch = layer_map_fetch;
+    c.ctx = map;
+    return c;
 }
 
 /* out:  (edge', edge', w->n), edge' = edge / stride rounded up. */
@@ -260,7 +254,7 @@ static err_t run_conv3x3(const struct trunk *t, const struct weight *w, int edge
                          const float *px, const struct layer_out *out)
 {
     const struct layer_map map = {px, edge, w->seg / 3, false};
-    struct layer_conv c = conv3x3(w, edge, stride, &map);
+    struct layer_conv c = map_conv(w, edge, stride, &map);
     c.floats = t->floats;
     return layer_conv_run(t->r, &c, out);
 }
@@ -406,7 +400,7 @@ err_t dpt_run(const struct run *r, const struct dpt_job *j, float *out)
     if (!e) {
         int edge = dpt_edge(t.grid), half = t.feat / 2;
         const struct dpt_blend b = {.map = resize_of(px, level_edge(t.grid, FINEST), t.feat, edge)};
-        struct layer_conv c = conv3x3(&j->w->output_conv1, edge, 1, &b);
+        struct layer_conv c = map_conv(&j->w->output_conv1, edge, 1, &b);
         c.fetch = dpt_blend_fetch;
         c.floats = t.floats;
         e = layer_conv_run(r, &c, &(struct layer_out){.out = out, .ldo = (size_t)half});
@@ -421,7 +415,7 @@ err_t dpt_run(const struct run *r, const struct dpt_job *j, float *out)
 
 static void plan_conv(struct plan *p, const struct weight *w, int edge, int stride)
 {
-    const struct layer_conv c = conv3x3(w, edge, stride, NULL);
+    const struct layer_conv c = map_conv(w, edge, stride, NULL);
     layer_conv_plan(p, &c);
 }
 

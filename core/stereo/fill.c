@@ -28,6 +28,19 @@ static float limit(float x)
     return fminf(fmaxf(x, -STOPS), STOPS);
 }
 
+static bool is_far(const struct depthmaps *d, size_t at)
+{
+    return d->far && d->far[at];
+}
+
+/* Of pixel i of the map, px of the view. */
+static void pixel_centre(const struct depthmaps *d, int view, size_t i, float uv[2])
+{
+    const int w = d->extent[view].w;
+    uv[0] = ((float)((int)i % w) + 0.5f) * (float)d->scale;
+    uv[1] = ((float)((int)i / w) + 0.5f) * (float)d->scale;
+}
+
 err_t fill_layout(struct fill *f, struct arena *a, const struct extent *maps, int n)
 {
     const size_t most = extent_cover(maps, n).at;
@@ -89,8 +102,7 @@ static float middle_rho(struct fill *f, int view)
     const size_t all = extent_pixels(map);
     size_t n = 0;
     for (size_t i = 0; i < all; i++)
-        if (f->depth->conf[map->at + i] >= SWEEP_CONF_USABLE &&
-            !(f->depth->far && f->depth->far[map->at + i]))
+        if (f->depth->conf[map->at + i] >= SWEEP_CONF_USABLE && !is_far(f->depth, map->at + i))
             f->sort[n++] = -log2f(f->depth->depth[map->at + i]);
     for (size_t i = 0; n == 0 && i < all; i++)
         f->sort[i] = log2f(f->rho[i]);
@@ -101,27 +113,26 @@ static void fill_depth(const struct fill *f, int view, float middle, float *out)
 {
     const struct extent *map = &f->depth->extent[view];
     const struct camera *c = &f->views->cams[view];
-    const float s = (float)f->depth->scale;
     for (size_t i = 0; i < extent_pixels(map); i++) {
         const size_t at = map->at + i;
-        const bool far = f->depth->far && f->depth->far[at];
-        float *p = out + i * FILL_INPUT;
+        const bool far = is_far(f->depth, at);
+        float uv[2], *p = out + i * FILL_INPUT;
+        pixel_centre(f->depth, view, i, uv);
         p[FILL_CONF] = f->depth->conf[at];
         p[FILL_USABLE] = !far && p[FILL_CONF] >= SWEEP_CONF_USABLE;
         p[FILL_STEREO] = limit(-log2f(f->depth->depth[at]) - middle) / 2.0f;
         p[FILL_FAR] = far;
         p[FILL_GUESS] = limit(log2f(f->rho[i]) - middle) / 2.0f;
-        p[FILL_RAY] = (((float)((int)i % map->w) + 0.5f) * s - c->cx) / c->fx;
-        p[FILL_RAY + 1] = (((float)((int)i / map->w) + 0.5f) * s - c->cy) / c->fy;
+        p[FILL_RAY] = (uv[0] - c->cx) / c->fx;
+        p[FILL_RAY + 1] = (uv[1] - c->cy) / c->fy;
     }
 }
 
-/* Number of other views, up to SEEN_BY, in whose pictures the guess at pixel x, y is. */
-static int count_seen(const struct fill *f, int view, int x, int y)
+/* Number of other views, up to SEEN_BY, in whose pictures the guess at pixel i is. */
+static int count_seen(const struct fill *f, int view, int i)
 {
-    const float s = (float)f->depth->scale;
-    const float uvz[3] = {((float)x + 0.5f) * s, ((float)y + 0.5f) * s,
-                          1.0f / f->rho[y * f->depth->extent[view].w + x]};
+    float uvz[3] = {0, 0, 1.0f / f->rho[i]};
+    pixel_centre(f->depth, view, (size_t)i, uvz);
     float point[3];
     struct projected p;
     int seen = 0;
@@ -138,14 +149,11 @@ static void fill_seen(const struct fill *f, int view, float *out)
     const int across = (map->w + CELL - 1) / CELL, down = (map->h + CELL - 1) / CELL;
     for (int k = 0; k < across * down; k++) {
         const int x0 = k % across * CELL, y0 = k / across * CELL;
-        const float seen = (float)count_seen(f, view, num_min(x0 + CELL / 2, map->w - 1),
-                                             num_min(y0 + CELL / 2, map->h - 1)) /
-                           SEEN_BY;
-        for (int i = 0; i < CELL * CELL; i++) {
-            const int x = x0 + i % CELL, y = y0 + i / CELL;
-            if (x < map->w && y < map->h)
-                out[(y * map->w + x) * FILL_INPUT + FILL_SEEN] = seen;
-        }
+        const int x = num_min(x0 + CELL / 2, map->w - 1), y = num_min(y0 + CELL / 2, map->h - 1);
+        const float seen = (float)count_seen(f, view, y * map->w + x) / SEEN_BY;
+        for (int i = 0; i < CELL * CELL; i++)
+            if (x0 + i % CELL < map->w && y0 + i / CELL < map->h)
+                out[((y0 + i / CELL) * map->w + x0 + i % CELL) * FILL_INPUT + FILL_SEEN] = seen;
     }
 }
 
@@ -187,15 +195,13 @@ static void add_point(const struct projected *p, const struct extent *map, float
 static void add_view(const struct fill *f, int view, int j, float *out)
 {
     const struct extent *from = &f->depth->extent[j], *map = &f->depth->extent[view];
-    const float s = (float)f->depth->scale;
     for (size_t i = 0; i < extent_pixels(from); i++) {
         const size_t at = from->at + i;
-        const float uvz[3] = {((float)((int)i % from->w) + 0.5f) * s,
-                              ((float)((int)i / from->w) + 0.5f) * s, f->depth->depth[at]};
-        float point[3];
+        float point[3], uvz[3] = {0, 0, f->depth->depth[at]};
         struct projected p;
-        if (!visibility_confident(&f->vis, at) || (f->depth->far && f->depth->far[at]))
+        if (!visibility_confident(&f->vis, at) || is_far(f->depth, at))
             continue;
+        pixel_centre(f->depth, j, i, uvz);
         visibility_unproject(&f->vis, j, uvz, point);
         if (visibility_project(&f->vis, view, point, &p))
             add_point(&p, map, out);
@@ -268,17 +274,15 @@ size_t fill_take(struct fill *f, int view, const float *answer, struct depthmaps
 {
     const struct extent *map = &d->extent[view];
     const struct shell shell = shell_of(f->views->cams, f->views->n);
-    const float s = (float)d->scale;
     size_t taken = 0;
     guess_smooth(&f->guess, d, view, f->rho);
     for (size_t i = 0; i < extent_pixels(map); i++, answer += FILL_ANSWER) {
         const size_t at = map->at + i;
-        const bool was = d->far && d->far[at], far = d->far && sees_shell(was, answer);
+        const bool was = is_far(d, at), far = d->far && sees_shell(was, answer);
         if (far == was && (far || !is_lost(d->conf[at], answer)))
             continue;
-        float uvz[3] = {((float)((int)i % map->w) + 0.5f) * s,
-                        ((float)((int)i / map->w) + 0.5f) * s,
-                        1.0f / (f->rho[i] * exp2f(limit(answer[FILL_RESIDUAL])))};
+        float uvz[3] = {0, 0, 1.0f / (f->rho[i] * exp2f(limit(answer[FILL_RESIDUAL])))};
+        pixel_centre(d, view, i, uvz);
         const float most =
             d->far ? shell_depth(&shell, &f->views->cams[view], uvz[0], uvz[1]) : INFINITY;
         uvz[2] = far ? most : fminf(uvz[2], SHELL_INSIDE * most);
