@@ -12,8 +12,8 @@
 
 #define STEP_PIXEL 0.33  // units, of a step of refinement: for each pixel of its picture
 #define STEP_SPLAT 0.17  // for each Gaussian
-#define AFTER_PIXEL 0.85 // of confidence and results: for each pixel of all views
-#define AFTER_WORK 0.4   // for each pixel of the views of depth
+#define AFTER_PIXEL 1.0  // of confidence and results: for each pixel of all views
+#define AFTER_WORK 0.85  // for each pixel of the views of depth
 
 struct speed {
     double unit;   // s

@@ -14,7 +14,8 @@ grep -Eq ": $seconds s in all: pictures of 448 px, .* s for refinement, [0-9]+ s
     fail "not on the terminal"
 grep -q "\"$seconds s in all: pictures of 448 px, " "$OUT/short/report.json" || fail "not told"
 grep -q 'of 1000 steps: no more fit into the time"' "$OUT/short/report.json" || fail "all steps"
-at_least "1.5 x $seconds s" "$(awk -v x="$seconds" 'BEGIN { print 1.5 * x }')" \
+# all 1000 steps take more than five times as long; other tests take of this machine what they want
+at_least "2 x $seconds s" "$(awk -v x="$seconds" 'BEGIN { print 2 * x }')" \
     "$(number "$OUT/short/report.json" seconds total)"
 
 # the size is not ours to choose if it is given
