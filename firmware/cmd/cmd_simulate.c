@@ -20,8 +20,8 @@ enum {
 };
 
 struct request {
-    const char *out, *views, *kind, *spread, *orbit, *fov, *exposures, *curve, *samples, *moving,
-        *flicker;
+    const char *out, *views, *kind, *spread, *orbit, *fov, *exposures, *curve, *local, *samples,
+        *moving, *flicker;
     const char *rig_path;
     const char *board, *tag, *distance, *before;
     struct target target;
@@ -230,13 +230,15 @@ static err_t read_scene(struct request *rq, struct dataset_request *a)
 
 static err_t read_request(struct request *rq, struct dataset_request *a)
 {
-    int family = CURVE_FILMIC;
+    int family = CURVE_FILMIC, local = LOCAL_TONE_NONE;
     double moving = 0, flicker = 0;
     err_t e = read_scene(rq, a);
     if (!e)
         e = read_exposures(rq->exposures ? rq->exposures : "0.015625,0.0625,0.25,1,4", a);
     if (!e && rq->curve)
         e = parse_choice("--curve", rq->curve, CURVE_WORDS, &family);
+    if (!e && rq->local)
+        e = parse_choice("--local-tone", rq->local, LOCAL_TONE_WORDS, &local);
     if (!e)
         e = read_number("--moving", rq->moving, PASSER_SHARE_MIN, PASSER_SHARE_MAX, &moving);
     if (!e)
@@ -246,6 +248,7 @@ static err_t read_request(struct request *rq, struct dataset_request *a)
     a->passer = (struct passer){a->sample.seed, (float)moving};
     a->flicker = (float)flicker;
     a->noise = !rq->noise_free;
+    a->local = (enum local_tone)local;
     a->input_truth = rq->depth;
     curve_make((enum curve_family)family, NAN, a->sample.seed, &a->curve);
     return OK;
@@ -302,6 +305,8 @@ static err_t write_report(const struct request *rq, const struct dataset_request
     if (rq->flicker)
         report_number(&rep, "flicker_stops", (double)a->flicker);
     report_bool(&rep, "noise", a->noise);
+    if (rq->local)
+        report_text(&rep, "local_tone", rq->local);
     report_text(&rep, "curve", rq->curve ? rq->curve : "filmic");
     return outdir_report_close(o, &rep);
 }
@@ -391,6 +396,10 @@ int cmd_simulate_run(int argc, char **argv)
          &rq.exposures, NULL},
         {"curve", "C", "linear, srgb, gamma, filmic, agx, log or random (filmic)", NULL, &rq.curve,
          NULL},
+        {"local-tone", "L",
+         "what a telephone does to its pictures before the curve: none, base, clahe or fusion "
+         "(none)",
+         NULL, &rq.local, NULL},
         {"moving", "SHARE",
          "somebody passes by in a third of the inputs' photographs and covers that share of them, "
          "0.002..0.3; truth/masks says where",

@@ -284,7 +284,8 @@ struct develop {
     const struct curve *curve;
     const struct sensor_raw *raw;
     float scale[3]; // exposure of one digital number
-    uint8_t *px;
+    uint8_t *px;    // or
+    float *linear;
 };
 
 static inline int mirror_index(int i, int n)
@@ -321,8 +322,12 @@ static void develop_row(const struct develop *d, int y)
             size_t i = at + (size_t)x;
             float v = d->s->cfa == SENSOR_RGB ? (float)d->raw->px[(size_t)c * area + i]
                                               : demosaic(d, c, y, x);
-            float z = curve_display(d->curve, (v - (float)d->s->black) * d->scale[c]);
-            d->px[3 * i + (size_t)c] = (uint8_t)(255.0f * z + 0.5f);
+            float exposure = (v - (float)d->s->black) * d->scale[c];
+            if (d->linear)
+                d->linear[(size_t)c * area + i] = exposure;
+            else
+                d->px[3 * i + (size_t)c] =
+                    (uint8_t)(255.0f * curve_display(d->curve, exposure) + 0.5f);
         }
 }
 
@@ -336,16 +341,29 @@ static err_t develop_chunk(void *ctx, int chunk, int worker)
     return e;
 }
 
-err_t sensor_develop(const struct run *r, const struct sensor *s, const struct sensor_shot *shot,
-                     const struct curve *c, const struct sensor_raw *raw, uint8_t *px)
+static err_t develop_all(struct develop *d, const struct sensor_shot *shot)
 {
-    struct develop d = {.r = r, .s = s, .curve = c, .raw = raw, .px = px};
-    err_t e = check_all(s, shot, raw);
+    const struct sensor *s = d->s;
+    err_t e = check_all(s, shot, d->raw);
     if (e)
         return e;
     double top = (1 << s->bits) - 1 - s->black;
     double white = fmin((double)s->full_well * s->gain * shot->gain, top);
     for (int k = 0; k < 3; k++)
-        d.scale[k] = (float)(1.0 / (white * s->balance[k]));
-    return pool_for(r->pool, (raw->h + ROWS - 1) / ROWS, develop_chunk, &d);
+        d->scale[k] = (float)(1.0 / (white * s->balance[k]));
+    return pool_for(d->r->pool, (d->raw->h + ROWS - 1) / ROWS, develop_chunk, d);
+}
+
+err_t sensor_develop(const struct run *r, const struct sensor *s, const struct sensor_shot *shot,
+                     const struct curve *c, const struct sensor_raw *raw, uint8_t *px)
+{
+    struct develop d = {.r = r, .s = s, .curve = c, .raw = raw, .px = px};
+    return develop_all(&d, shot);
+}
+
+err_t sensor_linear(const struct run *r, const struct sensor *s, const struct sensor_shot *shot,
+                    const struct sensor_raw *raw, float *out)
+{
+    struct develop d = {.r = r, .s = s, .raw = raw, .linear = out};
+    return develop_all(&d, shot);
 }

@@ -59,6 +59,12 @@ MUST_USE err_t sensor_develop(const struct run *r, const struct sensor *s,
                               const struct sensor_shot *shot, const struct curve *c,
                               const struct sensor_raw *raw, uint8_t *px);
 
+/* The same but for curve and rounding: relative exposure, 1 = white, perhaps below 0 by noise.
+ * out:  (3, h, w) */
+MUST_USE err_t sensor_linear(const struct run *r, const struct sensor *s,
+                             const struct sensor_shot *shot, const struct sensor_raw *raw,
+                             float *out);
+
 /* Uniform (0..1), standard normal and Poisson variates by a counter-based generator (variate.h).
  * Poisson: exact inversion for means below 30, above that normal with continuity correction. */
 double sensor_uniform(uint64_t key, uint64_t counter);

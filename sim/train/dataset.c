@@ -201,6 +201,7 @@ static err_t write_view(const struct run *r, const struct set *s, int view)
                                       .key = s->place.key,
                                       .sensor = a->noise ? &sensor_default : NULL,
                                       .curve = &a->curve,
+                                      .local = a->local,
                                       .seed = a->sample.seed * 1000 + (uint64_t)view};
     float stops[DATASET_EXPOSURES]; // brighter light is a longer exposure, but for dark current
     for (int k = 0; k < a->n_exposures; k++)
@@ -354,7 +355,7 @@ void dataset_plan(struct plan *p, const struct dataset_request *a)
     struct set s = {.a = a};
     const size_t mark = arena_mark(&p->keep);
     (void)alloc_set(&p->keep, &s); // a counter is never full
-    sample_plan(p, &a->sample);
+    sample_plan(p, &a->sample, a->local);
     arena_reset(&p->keep, mark);
 }
 

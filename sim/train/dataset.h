@@ -17,6 +17,7 @@ struct dataset_request {
     float stops[DATASET_EXPOSURES]; // ascending, log2 of the exposure over the metered one
     bool noise;                     // as in sensor_default
     bool input_truth;               // radiance and depth of inputs, too
+    enum local_tone local; // of all photographs, before the curve
     struct curve curve;
     struct passer passer; // in a third of the photographs of inputs; share 0: nobody
     float

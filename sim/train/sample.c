@@ -183,6 +183,35 @@ static double metered_key(struct sample *s)
     return KEY_LEVEL * full_scale(&sensor_default) / ((double)sensor_default.electrons * light);
 }
 
+/* What a photograph is made in. */
+struct darkroom {
+    struct sensor_raw raw; // of a sensor
+    float *linear;         // (3, h, w) for local tone
+};
+
+static err_t alloc_darkroom(struct arena *tmp, const struct sample_camera *c, struct darkroom *d)
+{
+    const size_t n = 3 * (size_t)c->w * (size_t)c->h;
+    *d = (struct darkroom){.raw = {.w = c->w, .h = c->h}};
+    err_t e = OK;
+    if (c->sensor)
+        e = arena_alloc(tmp, n, sizeof *d->raw.px, &d->raw.px);
+    if (!e && c->local)
+        e = arena_alloc(tmp, n, sizeof *d->linear, &d->linear);
+    return e;
+}
+
+/* Bytes of a photograph. */
+static size_t expose_bytes(int w, int h, enum local_tone local)
+{
+    struct arena tmp = arena_counter();
+    const struct sample_camera c = {.w = w, .h = h, .sensor = &sensor_default, .local = local};
+    struct darkroom d;
+    (void)alloc_darkroom(&tmp, &c, &d); // a counter is never full
+    arena_step(&tmp, local_tone_plan(local, w, h));
+    return tmp.peak;
+}
+
 /* Bytes of the largest view. */
 static size_t view_bytes(const struct sample_scene *a)
 {
@@ -232,16 +261,22 @@ static err_t alloc_workers(struct arena *from, const struct sample_scene *a, int
     return e;
 }
 
-void sample_plan(struct plan *p, const struct sample_scene *a)
+void sample_plan(struct plan *p, const struct sample_scene *a, enum local_tone local)
 {
+    struct extent all[SAMPLE_VIEWS];
     struct arena room, workers[WORKERS_MAX];
     struct plan opening = plan_begin(p->threads);
     const size_t mark = arena_mark(&p->tmp);
     (void)sub_arena(&p->tmp, world_bytes(), "world", &room); // a counter is never full
     render_open_plan(&opening);
     arena_step(&p->tmp, opening.tmp.peak);
+    const size_t opened = arena_mark(&p->tmp);
     (void)alloc_workers(&p->tmp, a, p->threads, workers);
     arena_step(&p->tmp, similarity_plan((a->n_views + 1) / 2));
+    arena_reset(&p->tmp, opened);
+    sample_extents(a, all);
+    for (int i = 0; i < a->n_views; i++)
+        arena_step(&p->tmp, expose_bytes(all[i].w, all[i].h, local));
     arena_reset(&p->tmp, mark);
 }
 
@@ -428,33 +463,55 @@ err_t sample_make(const struct run *r, const struct sample_scene *a, float *radi
 
 /* ---- photographs ---- */
 
+/* Relative exposure without noise. */
+static float clean_exposure(double exposure, float radiance)
+{
+    const double scale = exposure * (double)sensor_default.electrons / full_scale(&sensor_default);
+    return (float)((double)radiance * scale);
+}
+
+static uint8_t code_of(const struct sample_camera *c, float exposure)
+{
+    return (uint8_t)(255 * curve_display(c->curve, exposure) + 0.5f);
+}
+
 static void develop_clean(const struct sample_camera *c, const float *radiance, double exposure,
                           uint8_t *px)
 {
     size_t n = (size_t)c->w * (size_t)c->h;
-    double scale = exposure * (double)sensor_default.electrons / full_scale(&sensor_default);
-    for (size_t i = 0; i < 3 * n; i++) {
-        float x = (float)((double)radiance[i % 3 * n + i / 3] * scale);
-        px[i] = (uint8_t)(255 * curve_display(c->curve, x) + 0.5f);
-    }
+    for (size_t i = 0; i < 3 * n; i++)
+        px[i] = code_of(c, clean_exposure(exposure, radiance[i % 3 * n + i / 3]));
 }
 
-static err_t alloc_raw(struct arena *tmp, struct sensor_raw *raw)
+static err_t develop_local(const struct run *r, const struct sample_camera *c,
+                           const struct darkroom *d, const struct sensor_shot *shot, uint8_t *px)
 {
-    return arena_alloc(tmp, (size_t)raw->w * (size_t)raw->h, 3 * sizeof *raw->px, &raw->px);
+    const size_t n = (size_t)c->w * (size_t)c->h;
+    err_t e = c->sensor ? sensor_linear(r, c->sensor, shot, &d->raw, d->linear) : OK;
+    if (!e)
+        e = local_tone_run(r->tmp, c->local, c->w, c->h, d->linear);
+    for (size_t i = 0; i < 3 * n && !e; i++)
+        px[i] = code_of(c, d->linear[i % 3 * n + i / 3]);
+    return e;
 }
 
-static err_t develop_noisy(const struct run *r, const struct sample_camera *c,
-                           const float *radiance, const struct sensor_shot *shot, uint8_t *px)
+static err_t photograph(const struct run *r, const struct sample_camera *c, const float *radiance,
+                        const struct sensor_shot *shot, uint8_t *px)
 {
-    struct sensor_raw raw = {.w = c->w, .h = c->h};
-    struct image picture = {c->w, c->h, 3, (float *)(uintptr_t)radiance};
-    size_t mark = arena_mark(r->tmp);
-    err_t e = alloc_raw(r->tmp, &raw);
-    if (!e)
-        e = sensor_expose(r, c->sensor, shot, &picture, &raw);
-    if (!e)
-        e = sensor_develop(r, c->sensor, shot, c->curve, &raw, px);
+    const struct image picture = {c->w, c->h, 3, (float *)(uintptr_t)radiance};
+    const size_t mark = arena_mark(r->tmp), n = 3 * (size_t)c->w * (size_t)c->h;
+    struct darkroom d;
+    err_t e = alloc_darkroom(r->tmp, c, &d);
+    if (!e && c->sensor)
+        e = sensor_expose(r, c->sensor, shot, &picture, &d.raw);
+    for (size_t i = 0; i < n && !e && c->local && !c->sensor; i++)
+        d.linear[i] = clean_exposure(shot->exposure_s, radiance[i]);
+    if (!e && c->local)
+        e = develop_local(r, c, &d, shot, px);
+    else if (!e && c->sensor)
+        e = sensor_develop(r, c->sensor, shot, c->curve, &d.raw, px);
+    else if (!e)
+        develop_clean(c, radiance, shot->exposure_s, px);
     arena_reset(r->tmp, mark);
     return e;
 }
@@ -487,10 +544,8 @@ err_t sample_expose(const struct run *r, const struct sample_camera *c, const fl
         e = run_check(r, "photographs");
         if (c->sensor && exposure > EXPOSURE_MAX)
             shot.exposure_s = EXPOSURE_MAX;
-        if (!e && c->sensor)
-            e = develop_noisy(r, c, radiance, &shot, to);
-        else if (!e)
-            develop_clean(c, radiance, shot.exposure_s, to);
+        if (!e)
+            e = photograph(r, c, radiance, &shot, to);
     }
     return e;
 }
@@ -507,7 +562,7 @@ int sample_photograph(const struct sample_request *q, float *radiance, float *de
     if (e)
         return e;
     struct plan p = plan_begin(1);
-    sample_plan(&p, &q->scene);
+    sample_plan(&p, &q->scene, LOCAL_TONE_NONE);
     e = arena_init(&tmp, "sample", p.tmp.peak);
     if (!e)
         e = sample_make(&r, &q->scene, radiance, depth, views, key);
@@ -527,8 +582,12 @@ int sample_develop(const struct sample_request *q, double key, const float *radi
     struct arena tmp = {0};
     struct run r = {.tmp = &tmp};
     struct curve curve;
-    struct sample_camera c = {q->scene.size, q->scene.size, key, q->noise ? &sensor_default : NULL,
-                              &curve,        q->noise_seed, 0};
+    const struct sample_camera c = {.w = q->scene.size,
+                                    .h = q->scene.size,
+                                    .key = key,
+                                    .sensor = q->noise ? &sensor_default : NULL,
+                                    .curve = &curve,
+                                    .seed = q->noise_seed};
     err_t e = check_shots(&c, n, stops);
     if (!e && (q->curve_family < -1 || q->curve_family >= CURVE_FAMILIES))
         e = err_fail(ERR_ARG, "photograph: curve of family %d, allowed are -1 to %d",
@@ -539,10 +598,7 @@ int sample_develop(const struct sample_request *q, double key, const float *radi
         curve_draw(q->curve_seed, &curve);
     else
         curve_make((enum curve_family)q->curve_family, q->curve_param, q->curve_seed, &curve);
-    struct arena count = arena_counter();
-    struct sensor_raw raw = {.w = c.w, .h = c.h};
-    (void)alloc_raw(&count, &raw); // a counter is never full
-    e = arena_init(&tmp, "photograph", count.peak);
+    e = arena_init(&tmp, "photograph", expose_bytes(c.w, c.h, c.local));
     if (!e)
         e = sample_expose(&r, &c, radiance, n, stops, px);
     arena_free(&tmp);

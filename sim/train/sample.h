@@ -4,6 +4,7 @@
 #ifndef TRAIN_SAMPLE_H
 #define TRAIN_SAMPLE_H
 
+#include "sim/sensor/local_tone.h"
 #include "sim/sensor/optics.h"
 #include "sim/sensor/sensor.h"
 #include "sim/world/render.h"
@@ -67,8 +68,8 @@ struct sample_place {
 MUST_USE err_t sample_open(const struct run *r, const struct sample_scene *a,
                            struct sample_place *out);
 
-/* For both; also enough for sample_expose of one such picture. */
-void sample_plan(struct plan *p, const struct sample_scene *a);
+/* For both; also enough for sample_expose of one such picture after sample_open. */
+void sample_plan(struct plan *p, const struct sample_scene *a, enum local_tone local);
 
 /* How a radiance image is photographed. */
 struct sample_camera {
@@ -78,6 +79,7 @@ struct sample_camera {
     const struct curve *curve;   // not NULL
     uint64_t seed;               // seed of the noise
     uint64_t first;              // the number of the first photograph, for the noise
+    enum local_tone local;       // before the curve
 };
 
 /* Photographs of one radiance image (3, h, w) at the exposures 2^stops[i] times key, stops

@@ -17,6 +17,7 @@ expect 2 '--views: 2.5 is not a whole number' simulate --out "$OUT/no" --views 2
 expect 2 '--views: 1 is not in 2..128' simulate --out "$OUT/no" --views 1
 expect 2 '--moving: 0.31 is not in 0.002..0.3' simulate --out "$OUT/no" --moving 0.31
 expect 2 '--flicker: 3.5 is not in 0..3' simulate --out "$OUT/no" --flicker 3.5
+expect 2 '--local-tone: "x" is none of' simulate --out "$OUT/no" --local-tone x
 expect 2 '--orbit: only --kind park' simulate --out "$OUT/no" --kind yard --orbit 20
 expect 2 '--orbit: 181 is not in 1..180' simulate --out "$OUT/no" --kind park --orbit 181
 expect 2 '--exposures: .*like 0.125,1,8' simulate --out "$OUT/no" --exposures 1,x
@@ -44,6 +45,11 @@ diff -r "$OUT/room/images_hdr" "$OUT/passed/images_hdr" >/dev/null || fail "anot
 differ=$(diff -qr "$OUT/room/images" "$OUT/passed/images" | sed 's/.*images.//; s/ differ//' | sort)
 [ "$differ" = "$(ls "$OUT/passed/truth/masks")" ] && [ "$(wc -l <<<"$differ")" -eq 7 ] ||
     fail "somebody passes by in $differ"
+
+# a telephone's tones: the same radiance, other photographs
+simulate toned --seed 3 --kind park --views 4 --size 112 --orbit 20 --depth --local-tone base
+diff -r "$OUT/park/images_hdr" "$OUT/toned/images_hdr" >/dev/null || fail "tones: another truth"
+cmp -s "$OUT"/{park,toned}/images/train_ldr_000_0.png && fail "no tones"
 
 # light flickers: what is held out stays, and reconstruction finds it
 simulate lit --seed 7 --kind room --views 7 --size 224 --flicker 0.3

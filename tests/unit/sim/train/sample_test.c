@@ -29,7 +29,7 @@ static const struct sample_scene usual = {.seed = 5,
 static void open_arena(struct arena *tmp, int threads)
 {
     struct plan p = plan_begin(threads);
-    sample_plan(&p, &usual);
+    sample_plan(&p, &usual, LOCAL_TONE_NONE);
     assert_int_equal(arena_init(tmp, "tmp", p.tmp.peak), OK);
 }
 
