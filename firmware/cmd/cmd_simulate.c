@@ -21,7 +21,7 @@ enum {
 
 struct request {
     const char *out, *views, *kind, *spread, *orbit, *fov, *exposures, *curve, *local, *samples,
-        *moving, *flicker;
+        *moving, *flicker, *lamp_switch;
     const char *rig_path;
     const char *board, *tag, *distance, *before;
     struct target target;
@@ -231,7 +231,7 @@ static err_t read_scene(struct request *rq, struct dataset_request *a)
 static err_t read_request(struct request *rq, struct dataset_request *a)
 {
     int family = CURVE_FILMIC, local = LOCAL_TONE_NONE;
-    double moving = 0, flicker = 0;
+    double moving = 0, flicker = 0, lit = 0;
     err_t e = read_scene(rq, a);
     if (!e)
         e = read_exposures(rq->exposures ? rq->exposures : "0.015625,0.0625,0.25,1,4", a);
@@ -243,10 +243,14 @@ static err_t read_request(struct request *rq, struct dataset_request *a)
         e = read_number("--moving", rq->moving, PASSER_SHARE_MIN, PASSER_SHARE_MAX, &moving);
     if (!e)
         e = read_number("--flicker", rq->flicker, 0, DATASET_FLICKER_MAX, &flicker);
+    if (!e)
+        e = read_number("--lamp-switch", rq->lamp_switch, 0, 1, &lit);
     if (e)
         return e;
     a->passer = (struct passer){a->sample.seed, (float)moving};
     a->flicker = (float)flicker;
+    a->lit = (float)lit;
+    a->sample.switched = rq->lamp_switch ? SAMPLE_OFF : SAMPLE_NO_SWITCH;
     a->noise = !rq->noise_free;
     a->local = (enum local_tone)local;
     a->input_truth = rq->depth;
@@ -304,6 +308,8 @@ static err_t write_report(const struct request *rq, const struct dataset_request
         report_number(&rep, "moving", (double)a->passer.share);
     if (rq->flicker)
         report_number(&rep, "flicker_stops", (double)a->flicker);
+    if (rq->lamp_switch)
+        report_number(&rep, "lamp_switch", (double)a->lit);
     report_bool(&rep, "noise", a->noise);
     if (rq->local)
         report_text(&rep, "local_tone", rq->local);
@@ -408,6 +414,10 @@ int cmd_simulate_run(int argc, char **argv)
          "the light of each of the inputs' photographs is up to STOPS brighter or darker, 0..3; "
          "truth/light.json says how much",
          NULL, &rq.flicker, NULL},
+        {"lamp-switch", "SHARE",
+         "a lamp, outdoors the sun, is on in that share of the inputs only, 0..1; truth/lamp.json "
+         "says in which",
+         NULL, &rq.lamp_switch, NULL},
         {"noise-free", NULL, "no noise", NULL, NULL, &rq.noise_free},
         {"samples", "N", "rays per pixel and axis, 1..8 (6)", NULL, &rq.samples, NULL},
         CMD_SIZE,

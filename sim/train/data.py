@@ -41,7 +41,8 @@ class SampleScene(c.Structure):
                 ("spread", c.c_float), ("fov_deg", c.c_float), ("jitter", c.c_int),
                 ("orbit_deg", c.c_float), ("walk", c.c_int),
                 ("quality", Quality), ("n_optics", c.c_int),
-                ("optics", c.c_void_p), ("rig", c.c_void_p), ("target", c.c_void_p)]
+                ("optics", c.c_void_p), ("rig", c.c_void_p), ("target", c.c_void_p),
+                ("switched", c.c_int)]
 
 
 class Request(c.Structure):

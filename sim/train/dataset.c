@@ -40,6 +40,7 @@ struct set {
     const char *dir;
     struct extent extent[SAMPLE_VIEWS];
     struct sample_place place; // its radiance and depth are those of all views
+    struct sample_place lit;   // the same with the switched light on, without depth
     float *seen;               // (3, h, w) radiance of one view behind its optics
     uint8_t *px;               // (DATASET_EXPOSURES, h, w, 3) of one view
     uint8_t *mask;             // (4, h, w): of one photograph, and as R,G,B
@@ -100,6 +101,23 @@ static float light_of(const struct dataset_request *a, int view, int k)
     return a->flicker * (float)(draw_light(a, number) - sum / n);
 }
 
+/* Whether the switched light is on: in a share of the inputs, drawn by the seed. */
+static bool is_lit(const struct dataset_request *a, int view)
+{
+    const uint64_t seed = splitmix_mix(a->sample.seed + 3);
+    const uint64_t own = splitmix_mix(seed + (uint64_t)view);
+    int n = 0, before = 0;
+    if (a->sample.switched == SAMPLE_NO_SWITCH || !sample_is_input(&a->sample, view))
+        return false;
+    for (int i = 0; i < a->sample.n_views; i++) {
+        if (!sample_is_input(&a->sample, i))
+            continue;
+        n++;
+        before += splitmix_mix(seed + (uint64_t)i) < own;
+    }
+    return before < (int)lroundf(a->lit * (float)n);
+}
+
 static void picture_name(const struct sample_scene *a, int view, int k, char out[NAME_CAP])
 {
     snprintf(out, NAME_CAP, "%s_ldr_%03d_%d.png", sample_is_input(a, view) ? "train" : "test",
@@ -128,10 +146,16 @@ static err_t write_pictures(const struct set *s, int view)
     return e;
 }
 
+/* The world as a view shows it. */
+static const struct sample_place *place_of(const struct set *s, int view)
+{
+    return is_lit(s->a, view) ? &s->lit : &s->place;
+}
+
 static err_t write_radiance(const struct set *s, int view)
 {
     const struct extent *x = &s->extent[view];
-    struct image im = {x->w, x->h, 3, s->place.radiance + 3 * x->at};
+    struct image im = {x->w, x->h, 3, place_of(s, view)->radiance + 3 * x->at};
     struct exrfile_extra extra = {.depth = s->place.depth + x->at, .cam = &s->place.cams[view]};
     char name[NAME_CAP], path[FILE_PATH_CAP];
     snprintf(name, sizeof name, "images_hdr/%s_hdr_%03d.exr",
@@ -146,7 +170,7 @@ static const float *seen_radiance(const struct set *s, int view)
 {
     const struct optics *o = sample_optics(&s->a->sample, view);
     const struct extent *x = &s->extent[view];
-    const float *radiance = s->place.radiance + 3 * x->at;
+    const float *radiance = place_of(s, view)->radiance + 3 * x->at;
     if (!o || !optics_dims(o))
         return radiance;
     memcpy(s->seen, radiance, 3 * extent_pixels(x) * sizeof *s->seen);
@@ -184,8 +208,8 @@ static err_t pass_by(const struct run *r, const struct set *s, const struct samp
                                      (uint64_t)(view * DATASET_EXPOSURES + k)};
     quality.lens = o && lens_distorts(&o->lens) ? &o->lens : NULL;
     one.first = (uint64_t)k;
-    memcpy(s->seen, s->place.radiance + 3 * x->at, n * sizeof *s->seen);
-    err_t e = passer_draw(r, s->place.world, &a->passer, &shot, s->seen, s->mask);
+    memcpy(s->seen, place_of(s, view)->radiance + 3 * x->at, n * sizeof *s->seen);
+    err_t e = passer_draw(r, place_of(s, view)->world, &a->passer, &shot, s->seen, s->mask);
     if (!e && o && optics_dims(o))
         optics_apply(o, s->seen);
     if (!e)
@@ -224,8 +248,18 @@ static err_t open_text(const struct set *s, const char *name, char path[FILE_PAT
     return e ? e : file_create(path, out);
 }
 
-/* A number of each photograph that is written: its exposure, or stops of its light. */
-static err_t write_numbers(const struct set *s, const char *file, bool light)
+enum number { EXPOSURE, LIGHT, LAMP };
+
+static double number_of(const struct dataset_request *a, enum number what, int view, int k)
+{
+    if (what == LIGHT)
+        return (double)light_of(a, view, k);
+    return what == LAMP ? (double)is_lit(a, view) : exp2((double)a->stops[k]);
+}
+
+/* A number of each photograph that is written, or of those of inputs: its exposure, stops of its
+ * light, whether the switched light is on. */
+static err_t write_numbers(const struct set *s, const char *file, enum number what)
 {
     const struct dataset_request *a = s->a;
     char path[FILE_PATH_CAP], name[NAME_CAP];
@@ -236,11 +270,10 @@ static err_t write_numbers(const struct set *s, const char *file, bool light)
         return e;
     for (int view = 0; view < a->sample.n_views; view++)
         for (int k = 0; k < a->n_exposures; k++) {
-            if (!is_taken(a, view, k) || (light && !sample_is_input(&a->sample, view)))
+            if (!is_taken(a, view, k) || (what != EXPOSURE && !sample_is_input(&a->sample, view)))
                 continue;
             picture_name(&a->sample, view, k, name);
-            fprintf(f, "%s \"%s\": %.9g", before, name,
-                    light ? (double)light_of(a, view, k) : exp2((double)a->stops[k]));
+            fprintf(f, "%s \"%s\": %.9g", before, name, number_of(a, what, view, k));
             before = ",\n";
         }
     fputs("\n}\n", f);
@@ -302,7 +335,9 @@ static err_t make_folders(const struct set *s)
 {
     static const char *const names[] = {"images",   "images_hdr", "sparse",
                                         "sparse/0", "truth",      "truth/masks"};
-    const int n = s->a->passer.share > 0 ? 6 : s->a->flicker > 0 ? 5 : 4;
+    const int n = s->a->passer.share > 0                                           ? 6
+                  : s->a->flicker > 0 || s->a->sample.switched != SAMPLE_NO_SWITCH ? 5
+                                                                                   : 4;
     char path[FILE_PATH_CAP];
     for (int i = 0; i < n; i++) {
         err_t e = file_join(s->dir, names[i], path);
@@ -325,6 +360,9 @@ static err_t check_request(const struct dataset_request *a)
         if (!(fabsf(a->stops[k]) <= 40))
             return err_fail(ERR_ARG, "data set: exposure of 2^%g, allowed are 2^-40 to 2^40",
                             (double)a->stops[k]);
+    if (!(a->lit >= 0 && a->lit <= 1))
+        return err_fail(ERR_ARG, "data set: light is on in a share of %g, allowed are 0 to 1",
+                        (double)a->lit);
     return a->flicker >= 0 && (double)a->flicker <= DATASET_FLICKER_MAX
                ? OK
                : err_fail(ERR_ARG, "data set: flicker of %g stops, allowed are 0 to %g",
@@ -339,6 +377,8 @@ static err_t alloc_set(struct arena *keep, struct set *s)
     err_t e = arena_alloc(keep, all * 3, sizeof(float), &s->place.radiance);
     if (!e)
         e = arena_alloc(keep, all, sizeof(float), &s->place.depth);
+    if (!e && a->sample.switched != SAMPLE_NO_SWITCH)
+        e = arena_alloc(keep, all * 3, sizeof(float), &s->lit.radiance);
     if (!e && (a->sample.n_optics > 0 || a->passer.share > 0))
         e = arena_alloc(keep, largest, 3 * sizeof *s->seen, &s->seen);
     if (!e && a->passer.share > 0)
@@ -355,8 +395,26 @@ void dataset_plan(struct plan *p, const struct dataset_request *a)
     struct set s = {.a = a};
     const size_t mark = arena_mark(&p->keep);
     (void)alloc_set(&p->keep, &s); // a counter is never full
-    sample_plan(p, &a->sample, a->local);
+    const size_t none = arena_mark(&p->tmp);
+    struct plan one = plan_begin(p->threads);
+    sample_plan(&one, &a->sample, a->local);
+    if (a->sample.switched != SAMPLE_NO_SWITCH)
+        arena_hold(&p->tmp, one.tmp.peak);
+    arena_step(&p->tmp, one.tmp.peak);
+    arena_reset(&p->tmp, none);
     arena_reset(&p->keep, mark);
+}
+
+static err_t open_places(const struct run *r, struct set *s)
+{
+    struct sample_scene on = s->a->sample;
+    err_t e = OK;
+    s->lit.cams = s->place.cams;
+    if (on.switched != SAMPLE_NO_SWITCH) {
+        on.switched = SAMPLE_ON;
+        e = sample_open(r, &on, &s->lit);
+    }
+    return e ? e : sample_open(r, &s->a->sample, &s->place);
 }
 
 err_t dataset_write(const struct run *r, const struct dataset_request *a, const char *dir)
@@ -370,7 +428,7 @@ err_t dataset_write(const struct run *r, const struct dataset_request *a, const 
     if (!e)
         e = alloc_set(r->keep, &s);
     if (!e)
-        e = sample_open(r, &a->sample, &s.place);
+        e = open_places(r, &s);
     for (int view = 0; view < a->sample.n_views && !e; view++) {
         e = run_check(r, "data set");
         if (!e)
@@ -379,9 +437,11 @@ err_t dataset_write(const struct run *r, const struct dataset_request *a, const 
             r->progress(r->progress_ctx, "write", view + 1, a->sample.n_views, NULL);
     }
     if (!e)
-        e = write_numbers(&s, "exposure.json", false);
+        e = write_numbers(&s, "exposure.json", EXPOSURE);
     if (!e && a->flicker > 0)
-        e = write_numbers(&s, "truth/light.json", true);
+        e = write_numbers(&s, "truth/light.json", LIGHT);
+    if (!e && a->sample.switched != SAMPLE_NO_SWITCH)
+        e = write_numbers(&s, "truth/lamp.json", LAMP);
     if (!e)
         e = write_images(&s);
     if (!e)

@@ -22,6 +22,8 @@ struct dataset_request {
     struct passer passer; // in a third of the photographs of inputs; share 0: nobody
     float
         flicker; // 0..DATASET_FLICKER_MAX stops: the light of each of these photographs is another
+    float lit; // 0..1 with a switched light, which is off in `sample`: in this share of the inputs
+               // it is on
 };
 
 /* Photograph the world into the folder `dir`, which exists. Inputs (sample_is_input) are
@@ -34,6 +36,8 @@ struct dataset_request {
  *   255 elsewhere
  *   with flicker, truth/light.json: stops of the light of each photograph of an input, drawn evenly
  *   from -flicker..flicker, less their mean: that is no flicker but light
+ *   with a switched light, truth/lamp.json: 1 for each photograph of an input that it is on in, 0
+ *   for the others; inputs are drawn by the seed, and what is held out and metered shows it off
  * Of several cameras, the EXIF data of a picture name the one that took it. Radiance is that before
  * optics dim it.
  * err:  ERR_ARG, ERR_NOMEM (see dataset_plan), those of writing, ERR_CANCELLED. */

@@ -415,6 +415,8 @@ static err_t furnish(const struct run *r, const struct sample_scene *a, struct c
         e = place_rig(r, a, cams);
     if (!e && a->target)
         e = add_target(a, cams, w);
+    if (!e && a->switched != SAMPLE_NO_SWITCH)
+        world_switch_light(w, a->seed, a->switched == SAMPLE_ON);
     return e;
 }
 

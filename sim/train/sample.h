@@ -12,6 +12,9 @@
 
 enum { SAMPLE_VIEWS = 256, SAMPLE_SIZE = 2048, SAMPLE_PX = 1 << 27, SAMPLE_SHOTS = 64 };
 
+/* Whether the world has a light that is switched (sim/world/world.h), and how it is. */
+enum sample_switch { SAMPLE_NO_SWITCH, SAMPLE_OFF, SAMPLE_ON };
+
 /* A world and the rig that photographs it. */
 struct sample_scene {
     uint64_t seed;
@@ -32,6 +35,7 @@ struct sample_scene {
                               // them; NULL: none
     const struct target *target; // in the world, before views of even number; then lengths of the
                                  // rig are m, else it is scaled to the place; NULL: none
+    int switched;                // enum sample_switch
 };
 
 /* Inputs are the views of even number, and all of a walk; the others are held out. The number of a

@@ -140,6 +140,33 @@ static bool range_in_stand(const struct world *w, const float dir[2], float rang
     return range[1] - range[0] > 0.15f;
 }
 
+void world_switch_light(struct world *w, uint64_t seed, bool on)
+{
+    static const float RADIUS = 0.06f;
+    struct builder b = {.w = w, .state = seed ^ 0x9fb21c651e98df25ull};
+    const struct frame whole = {.c = 1};
+    const bool outdoors = w->kind == WORLD_YARD || w->kind == WORLD_PARK;
+    if (outdoors && w->sun[0] > 0) {
+        for (int c = 0; c < 3 && !on; c++)
+            w->sun[c] = 0;
+        return;
+    }
+    float c, s, turn = builder_draw(&b, 0, 360 * RADIAN), away = builder_draw(&b, 0.4f, 1.4f);
+    float top = fminf(w->hi[2], 3.2f), z = builder_draw(&b, 0.6f, 0.85f) * top;
+    float power = 4 * builder_power(builder_draw(&b, -3, 0)), cold = builder_draw(&b, 0.1f, 0.7f);
+    builder_turn(turn, &c, &s);
+    float p[3] = {w->focus[0] + away * c, w->focus[1] + away * s, z};
+    for (int k = 0; k < 2; k++)
+        p[k] = fminf(fmaxf(p[k], w->lo[k] + 0.3f), w->hi[k] - 0.3f);
+    pull_inwards(w, p);
+    const int glow = builder_glow(&b, on ? power / (RADIUS * RADIUS) : 0, cold);
+    builder_lamp(&b, builder_add(&b, &whole,
+                                 &(struct part){WORLD_ELLIPSOID,
+                                                {RADIUS, RADIUS, RADIUS},
+                                                {p[0], p[1], p[2]},
+                                                .material = glow}));
+}
+
 struct arc {
     float from, to;    // rad, of the directions from the focus that are used
     float radius;      // m
