@@ -58,7 +58,8 @@ struct fit {
     double right[PARAMS], x[PARAMS];
     double *drift, *sum; // (n) stops of the views; scratch
     bool active[PARAMS];
-    bool drifts; // light is fitted
+    bool drifts;                    // light is fitted
+    struct light_change_seen *left; // (n) what is not explained
     int params;
     double gate; // largest error of an inlier, stops
 };
@@ -83,6 +84,8 @@ static err_t layout(struct fit *f, struct arena *tmp, int n_views)
     if (!e)
         e = arena_alloc(tmp, (size_t)PARAMS * PARAMS, sizeof *f->whole, &f->whole);
     if (!e)
+        e = arena_alloc(tmp, cap, sizeof *f->left, &f->left);
+    if (!e)
         e = arena_zalloc(tmp, (size_t)n_views, sizeof *f->drift, &f->drift);
     if (!e)
         e = arena_alloc(tmp, (size_t)n_views, sizeof *f->sum, &f->sum);
@@ -94,7 +97,10 @@ size_t shade_fit_plan(int n_views)
     struct arena tmp = arena_counter();
     static const struct fit none;
     struct fit f = none;
-    return layout(&f, &tmp, n_views) ? SIZE_MAX : tmp.peak;
+    if (layout(&f, &tmp, n_views))
+        return SIZE_MAX;
+    arena_step(&tmp, light_change_plan(num_min(n_views, LIGHT_CHANGE_VIEWS), f.cap));
+    return tmp.peak;
 }
 
 /* ---- observations ---- */
@@ -569,14 +575,40 @@ static void choose_terms(struct fit *f, struct shade_fit_camera *out, struct sha
     bound_drift(f, drift->stops);
 }
 
+/* Whether what is left of the differences, the mean of the colours, has two states. */
+static err_t find_change(struct fit *f, struct arena *tmp, struct light_change *out)
+{
+    const struct views *v = f->in->v;
+    float *set = f->error; // not needed any more
+    const struct light_change_input in = {
+        v->n, f->left, f->n, v->cams, f->in->tone_known ? NULL : set, f->in->camera};
+    for (int i = 0; i < v->n; i++)
+        set[i] = views_set_log2t(v, i);
+    for (int i = 0; i < f->n; i++) {
+        const struct observation *s = &f->seen[i];
+        double sum = 0;
+        int n = 0;
+        for (int c = 0; c < 3; c++) {
+            sum += s->w[c] > 0 ? log_residual(f, s, c) : 0;
+            n += s->w[c] > 0;
+        }
+        f->left[i] = (struct light_change_seen){
+            {s->view[0], s->view[1]}, (uint16_t)(s->block % (BLOCKS * BLOCKS)), (float)(sum / n)};
+    }
+    return light_change_find(&in, tmp, out);
+}
+
 err_t shade_fit_run(const struct run *r, const struct shade_fit_input *in,
-                    struct shade_fit_camera *out, struct shade_fit_drift *drift)
+                    struct shade_fit_camera *out, struct shade_fit_drift *drift,
+                    struct light_change *change)
 {
     struct fit f = {.in = in};
     const size_t mark = arena_mark(r->tmp);
     memset(out, 0, (size_t)in->n_cameras * sizeof *out);
     memset(drift->stops, 0, (size_t)in->v->n * sizeof *drift->stops);
     *drift = (struct shade_fit_drift){.stops = drift->stops};
+    memset(change->other, 0, (size_t)in->v->n * sizeof *change->other);
+    *change = (struct light_change){.other = change->other};
     err_t e = layout(&f, r->tmp, in->v->n);
     if (!e) {
         visibility_set(&f.visibility, in->depth, in->v->cams);
@@ -585,6 +617,8 @@ err_t shade_fit_run(const struct run *r, const struct shade_fit_input *in,
     }
     if (!e && f.n >= LEAST)
         choose_terms(&f, out, drift);
+    if (!e && f.n >= LEAST && in->v->n <= LIGHT_CHANGE_VIEWS)
+        e = find_change(&f, r->tmp, change);
     arena_reset(r->tmp, mark);
     return e;
 }

@@ -11,6 +11,7 @@
 
 #include "core/base/types.h"
 #include "core/photo/shade.h"
+#include "core/refine/light_change.h"
 #include "core/stereo/sweep.h"
 
 enum {
@@ -54,14 +55,16 @@ struct shade_fit_input {
     const struct tonemap *tone;
     bool tone_known;           // else its slope is only known by the exposures
     const struct shade *shade; // (n) maps of r^2; models are not read
-    const int *camera;         // (n) 0 .. n_cameras - 1
-    int n_cameras;             // 1 .. SHADE_FIT_CAMERAS; 0: nothing is asked about cameras
+    const int *camera;         // (n) which one, 0 .. n_cameras - 1
+    int n_cameras;             // 1 .. SHADE_FIT_CAMERAS; 0: nothing is asked about cameras, and
+                               // their numbers are any
 };
 
-/* out: (n_cameras); all 0 where too few surfaces are shared.
+/* out: (n_cameras); all 0 where too few surfaces are shared. change: what is left of differences.
  * err: ERR_NOMEM (see shade_fit_plan), ERR_CANCELLED. */
 MUST_USE err_t shade_fit_run(const struct run *r, const struct shade_fit_input *in,
-                             struct shade_fit_camera *out, struct shade_fit_drift *drift);
+                             struct shade_fit_camera *out, struct shade_fit_drift *drift,
+                             struct light_change *change);
 
 /* Bytes of r->tmp. */
 size_t shade_fit_plan(int n_views);

@@ -95,12 +95,14 @@ struct job_result {
     int n_light;                             // 0: not looked at
     struct job_light light[SHADE_FIT_CAMERAS];
     struct shade_fit_drift drift; // of the places; stops NULL: not looked at
+    int n_other_light;            // places in the smaller group of light_change.h, and which
+    bool other_light[BUNDLE_VIEWS_MAX];
     int n_rig;                    // 0: not checked
     struct job_rig_camera rig[RIGCHECK_MOST];
     int n_lenses;
     char lenses[JOB_LENSES][160]; // how photographs were undistorted, a sentence for each lens
     int n_warnings;
-    char warnings[JOB_WARNINGS][240];
+    char warnings[JOB_WARNINGS][480];
 };
 
 /* The time since the last call (or the start) goes to `stage`. */

@@ -50,6 +50,17 @@ static bool group_cameras(const struct capture *c, struct job_result *j, int *ca
     return true;
 }
 
+/* Any number of them. camera: (places) the first place of each. */
+static void tell_cameras(const struct capture *c, const struct views *v, int *camera)
+{
+    for (int i = 0; i < v->n; i++) {
+        const char *own = lenses_shot(c, v->names[i])->camera_id;
+        for (camera[i] = 0; camera[i] < i; camera[i]++)
+            if (strcmp(lenses_shot(c, v->names[camera[i]])->camera_id, own) == 0)
+                break;
+    }
+}
+
 /* Where the pixels of a view are in the photograph as taken. */
 static void map_view(const struct job_result *j, const struct shot *s, const struct camera *view,
                      struct shade *out)
@@ -103,6 +114,7 @@ struct fitting {
     float set[BUNDLE_VIEWS_MAX];   // exposures of in->seen before
     float used[BUNDLE_VIEWS_MAX];  // stops in them since
     float stops[BUNDLE_VIEWS_MAX]; // of drift
+    struct light_change change;
 };
 
 static err_t fit_models(const struct run *r, struct fitting *f)
@@ -118,7 +130,8 @@ static err_t fit_models(const struct run *r, struct fitting *f)
                                          .camera = f->camera,
                                          .n_cameras = out->n_light};
     out->drift.stops = f->stops;
-    err_t e = shade_fit_run(r, &from, found, &out->drift);
+    f->change.other = out->other_light;
+    err_t e = shade_fit_run(r, &from, found, &out->drift, &f->change);
     for (int k = 0; k < out->n_light && !e; k++)
         out->light[k].found = found[k];
     return e;
@@ -154,8 +167,10 @@ static void begin_fitting(struct fitting *f)
     struct job_result *out = f->out;
     for (int i = 0; i < out->views.n; i++)
         f->set[i] = in->seen->log2t[i];
-    if (!in->room || !group_cameras(in->capture, out, f->camera))
+    if (!in->room || !group_cameras(in->capture, out, f->camera)) {
         out->n_light = 0;
+        tell_cameras(in->capture, &out->views, f->camera);
+    }
     for (int i = 0; i < out->views.n && out->n_light; i++) {
         map_view(out, lenses_shot(in->capture, out->views.names[i]), &out->views.cams[i],
                  &in->room[i]);
@@ -163,11 +178,35 @@ static void begin_fitting(struct fitting *f)
     }
 }
 
+/* Names of the smaller group, as many as a sentence has room for. */
+static void warn_change(const struct fitting *f)
+{
+    enum { NAMES = 8 };
+    struct job_result *out = f->out;
+    char names[NAMES * 32] = "", rest[32] = "";
+    int n = 0;
+    for (int i = 0; i < out->views.n; i++) {
+        const size_t used = strlen(names);
+        if (out->other_light[i] && n++ < NAMES)
+            snprintf(names + used, sizeof names - used, "%s%.28s", used ? ", " : "",
+                     out->views.names[i]);
+    }
+    if (n > NAMES)
+        snprintf(rest, sizeof rest, " and %d more", n - NAMES);
+    job_result_warn(out,
+                    "a lamp or the sun lights %s%s otherwise than the rest, and the scene mixes "
+                    "both: photograph again without switching lights, or leave %s out",
+                    names, rest, out->views.n_more ? "these places" : "these");
+}
+
 /* All photographs of a place share its drift. */
 static void end_fitting(struct fitting *f)
 {
     struct views *v = &f->out->views;
     float *drift = f->in->drift;
+    f->out->n_other_light = f->change.others;
+    if (f->change.others > 0)
+        warn_change(f);
     f->in->seen->drift = NULL; // it has done its work
     f->out->drift.stops = drift;
     if (!f->out->drift.kept)

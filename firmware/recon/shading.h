@@ -1,6 +1,6 @@
 /* shading.h - what the physical cameras of a job do to light (core/photo/shade.h), and light that
  * was another in each photograph: found once depth is known, then part of every comparison with
- * the photographs. */
+ * the photographs. A lamp that was on in some of them only is told in a warning. */
 #ifndef RECON_SHADING_H
 #define RECON_SHADING_H
 

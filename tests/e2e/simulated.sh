@@ -18,6 +18,7 @@ expect 2 '--views: 1 is not in 2..128' simulate --out "$OUT/no" --views 1
 expect 2 '--moving: 0.31 is not in 0.002..0.3' simulate --out "$OUT/no" --moving 0.31
 expect 2 '--flicker: 3.5 is not in 0..3' simulate --out "$OUT/no" --flicker 3.5
 expect 2 '--local-tone: "x" is none of' simulate --out "$OUT/no" --local-tone x
+expect 2 '--lamp-switch: 1.5 is not in 0..1' simulate --out "$OUT/no" --lamp-switch 1.5
 expect 2 '--orbit: only --kind park' simulate --out "$OUT/no" --kind yard --orbit 20
 expect 2 '--orbit: 181 is not in 1..180' simulate --out "$OUT/no" --kind park --orbit 181
 expect 2 '--exposures: .*like 0.125,1,8' simulate --out "$OUT/no" --exposures 1,x
@@ -65,6 +66,19 @@ grep -q '"used": true' "$OUT/lit.json" && grep -q 'light was not the same' "$OUT
 at_least "stops that a left-out surface is better with drift" "$(awk \
     -v a="$(number "$OUT/lit.json" drift left_out_error_without)" \
     -v b="$(number "$OUT/lit.json" drift left_out_error_with)" 'BEGIN { print a - b }')" 0.02
+
+# a lamp is on in some places: that is said of them, and of no other set
+simulate lamp --seed 7 --kind room --views 6 --size 112 --lamp-switch 0.34
+succeed reconstruct --images "$OUT/lamp" --size 112 --refine 0 --out "$OUT/lamp-scene"
+said='a lamp or the sun lights (train_ldr_[0-9]+_[0-9].png(, )?){2} otherwise'
+grep -Eq "warning: $said" "$ERR" && grep -Eq "$said" "$OUT/lamp-scene/report.html" ||
+    fail "a lamp that is switched is not told: $(cat "$ERR")"
+lit=$(sed -n 's/.*"\(train.*\)": 1,*/\1/p' "$OUT/lamp/truth/lamp.json")
+other=$(awk -F'"' '/"name":/ { name = $4 } /"other_light": true/ { print name }' \
+    "$OUT/lamp-scene/report.json" | sort)
+[ "$lit" = "$other" ] && [ "$(wc -l <<<"$lit")" -eq 6 ] ||
+    fail "a lamp is on in $lit, not in $other"
+! grep -q 'lights .* otherwise' "$OUT/room.json" "$OUT/lit.json" || fail "a lamp that is not there"
 
 # nobody knows the cameras
 succeed eval --data "$OUT/room" --size 224 --rig none --refine 100 --json "$OUT/found.json"

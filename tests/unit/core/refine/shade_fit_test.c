@@ -28,15 +28,20 @@ static struct world {
     uint8_t rgb[3 * VIEWS * PX];
     struct shade_fit_input in;
     struct shade_fit_drift drift;
+    bool other[VIEWS];
+    struct light_change change;
 } w;
 
 static const struct shade_model none,
     real[2] = {{{-0.6, -0.15, 0}, {0.42, 0.3, 0.18}}, {{0, 0, 0}, {-0.42, -0.3, -0.18}}};
 
+static bool lamp; // beside the wall, is on
+
 /* log2 radiance of the wall z = 4 at x, y. */
 static float wall(float x, float y, int c)
 {
-    return 0.4f * sinf(2 * x + (float)c) + 0.4f * cosf(2 * y - x) + 0.2f * (float)c - 0.5f;
+    return (lamp ? log2f(1 + expf(-x * x - y * y)) : 0) + 0.4f * sinf(2 * x + (float)c) +
+           0.4f * cosf(2 * y - x) + 0.2f * (float)c - 0.5f;
 }
 
 static void photograph(int i, const struct shade_model *m)
@@ -90,6 +95,7 @@ static int setup(void **state)
     }
     w.in = (struct shade_fit_input){&w.v, &w.depth, &w.tone, true, w.shade, w.camera, 2};
     w.drift.stops = w.stops;
+    w.change.other = w.other;
     w.r = (struct run){.tmp = &w.tmp};
     return arena_init(&w.tmp, "tmp", shade_fit_plan(VIEWS)) == OK ? 0 : -1;
 }
@@ -117,7 +123,7 @@ static void what_is_there_is_found(void **state)
     (void)state;
     struct shade_fit_camera found[2];
     photograph_all(real);
-    assert_int_equal(shade_fit_run(&w.r, &w.in, found, &w.drift), OK);
+    assert_int_equal(shade_fit_run(&w.r, &w.in, found, &w.drift, &w.change), OK);
     assert_int_equal(arena_mark(&w.tmp), 0);
     for (int k = 0; k < 2; k++) {
         assert_near(&found[k].model, &real[k]);
@@ -139,7 +145,7 @@ static void what_is_not_there_is_not_found(void **state)
     const struct shade_model plain[2] = {none, none};
     struct shade_fit_camera found[2];
     photograph_all(plain);
-    assert_int_equal(shade_fit_run(&w.r, &w.in, found, &w.drift), OK);
+    assert_int_equal(shade_fit_run(&w.r, &w.in, found, &w.drift, &w.change), OK);
     for (int k = 0; k < 2; k++)
         assert_memory_equal(&found[k].model, &none, sizeof none);
     assert_false(w.drift.kept);
@@ -156,7 +162,7 @@ static void one_camera_has_vignetting_only(void **state)
     photograph_all(one);
     memset(w.camera, 0, sizeof w.camera);
     w.in.n_cameras = 1;
-    assert_int_equal(shade_fit_run(&w.r, &w.in, &found, &w.drift), OK);
+    assert_int_equal(shade_fit_run(&w.r, &w.in, &found, &w.drift, &w.change), OK);
     struct shade_model want = real[0];
     memset(want.gain, 0, sizeof want.gain);
     assert_near(&found.model, &want);
@@ -184,7 +190,7 @@ static void light_that_changes_is_found(void **state)
         light_up((float)times);
         for (int cameras = 0; cameras <= 2; cameras += 2) {
             w.in.n_cameras = cameras;
-            assert_int_equal(shade_fit_run(&w.r, &w.in, found, &w.drift), OK);
+            assert_int_equal(shade_fit_run(&w.r, &w.in, found, &w.drift, &w.change), OK);
             assert_true(w.drift.kept && w.drift.held > 100);
             assert_true(w.drift.error < 0.5 * w.drift.error_before);
             float sum = 0;
@@ -209,11 +215,11 @@ static void a_trend_is_light_under_a_known_curve(void **state)
         w.log2t[i] /= 1.3f;
     }
     w.in.n_cameras = 0;
-    assert_int_equal(shade_fit_run(&w.r, &w.in, found, &w.drift), OK);
+    assert_int_equal(shade_fit_run(&w.r, &w.in, found, &w.drift, &w.change), OK);
     assert_true(w.drift.kept);
     assert_float_equal(w.stops[2] - w.stops[0], 0.3, 0.02);
     w.in.tone_known = false;
-    assert_int_equal(shade_fit_run(&w.r, &w.in, found, &w.drift), OK);
+    assert_int_equal(shade_fit_run(&w.r, &w.in, found, &w.drift, &w.change), OK);
     for (int i = 0; i < VIEWS; i++)
         assert_float_equal(w.stops[i], 0, 0.02);
 }
@@ -229,7 +235,7 @@ static void known_light_is_not_counted_twice(void **state)
         w.log2t[i] += known[i] = 0.9f * lit[i];
     w.v.drift = known;
     w.in.n_cameras = 0;
-    assert_int_equal(shade_fit_run(&w.r, &w.in, found, &w.drift), OK);
+    assert_int_equal(shade_fit_run(&w.r, &w.in, found, &w.drift, &w.change), OK);
     for (int i = 0; i < VIEWS; i++)
         assert_float_equal(w.stops[i], lit[i], 0.02);
 }
@@ -243,12 +249,12 @@ static void no_light_is_farther_than_the_bound(void **state)
     photograph_all((const struct shade_model[2]){none, none});
     w.in.n_cameras = 0;
     w.log2t[0] -= 3.3f;
-    assert_int_equal(shade_fit_run(&w.r, &w.in, found, &w.drift), OK);
+    assert_int_equal(shade_fit_run(&w.r, &w.in, found, &w.drift, &w.change), OK);
     assert_true(w.drift.kept);
     assert_float_equal(w.stops[0], 3.3 * (VIEWS - 1) / VIEWS, 0.05);
     w.log2t[0] -= 3;
     w.log2t[5] += 1;
-    assert_int_equal(shade_fit_run(&w.r, &w.in, found, &w.drift), OK);
+    assert_int_equal(shade_fit_run(&w.r, &w.in, found, &w.drift, &w.change), OK);
     assert_true(w.drift.kept);
     assert_float_equal(w.stops[0], SHADE_FIT_DRIFT_MOST, 1e-6);
     assert_float_equal(w.stops[5] - w.stops[4], -1, 0.05);
@@ -261,8 +267,28 @@ static void little_is_not_worth_it(void **state)
     (void)state;
     light_up(0.15f);
     w.in.n_cameras = 0;
-    assert_int_equal(shade_fit_run(&w.r, &w.in, found, &w.drift), OK);
+    assert_int_equal(shade_fit_run(&w.r, &w.in, found, &w.drift, &w.change), OK);
     assert_true(!w.drift.kept && w.drift.error < w.drift.error_before && w.stops[0] == 0);
+}
+
+/* A lamp is no drift: it is told which photographs it is on in, and nothing is told without it. */
+static void a_lamp_that_is_switched_is_told(void **state)
+{
+    struct shade_fit_camera found[2];
+    (void)state;
+    light_up(1);
+    w.in.n_cameras = 0;
+    memset(w.camera, 0, sizeof w.camera);
+    assert_int_equal(shade_fit_run(&w.r, &w.in, found, &w.drift, &w.change), OK);
+    assert_int_equal(w.change.others, 0);
+    lamp = true;
+    for (int i = 1; i < VIEWS; i += 3) // 1, 4, 7
+        photograph(i, &none);
+    lamp = false;
+    assert_int_equal(shade_fit_run(&w.r, &w.in, found, &w.drift, &w.change), OK);
+    assert_int_equal(w.change.others, 3);
+    for (int i = 0; i < VIEWS; i++)
+        assert_true(w.other[i] == (i % 3 == 1));
 }
 
 static void too_little_says_nothing(void **state)
@@ -271,19 +297,19 @@ static void too_little_says_nothing(void **state)
     atomic_bool cancel = true;
     struct shade_fit_camera found[2];
     memset(w.rgb, 255, sizeof w.rgb); // saturated
-    assert_int_equal(shade_fit_run(&w.r, &w.in, found, &w.drift), OK);
+    assert_int_equal(shade_fit_run(&w.r, &w.in, found, &w.drift, &w.change), OK);
     assert_memory_equal(&found[0].model, &none, sizeof none);
     assert_true(!w.drift.kept && w.drift.held == 0);
     photograph_all(real);
     for (int k = 0; k < VIEWS * MPX; k++) // no depth is sure
         w.conf[k] = 0.5f;
-    assert_int_equal(shade_fit_run(&w.r, &w.in, found, &w.drift), OK);
+    assert_int_equal(shade_fit_run(&w.r, &w.in, found, &w.drift, &w.change), OK);
     assert_memory_equal(&found[0].model, &none, sizeof none);
     w.r.cancel = &cancel;
-    assert_int_equal(shade_fit_run(&w.r, &w.in, found, &w.drift), ERR_CANCELLED);
+    assert_int_equal(shade_fit_run(&w.r, &w.in, found, &w.drift, &w.change), ERR_CANCELLED);
     w.r.cancel = NULL;
     w.v.n = w.depth.n = 1; // nothing to compare with
-    assert_int_equal(shade_fit_run(&w.r, &w.in, found, &w.drift), OK);
+    assert_int_equal(shade_fit_run(&w.r, &w.in, found, &w.drift, &w.change), OK);
     assert_memory_equal(&found[0].model, &none, sizeof none);
 }
 
@@ -298,6 +324,7 @@ int main(void)
         cmocka_unit_test_setup_teardown(known_light_is_not_counted_twice, setup, teardown),
         cmocka_unit_test_setup_teardown(no_light_is_farther_than_the_bound, setup, teardown),
         cmocka_unit_test_setup_teardown(little_is_not_worth_it, setup, teardown),
+        cmocka_unit_test_setup_teardown(a_lamp_that_is_switched_is_told, setup, teardown),
         cmocka_unit_test_setup_teardown(too_little_says_nothing, setup, teardown),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);

@@ -1,5 +1,5 @@
-/* Data sets with somebody who passes by, or with light that flickers: nothing else changes, and
- * truth/ says where and how much. */
+/* Data sets with somebody who passes by, with light that flickers, or with a lamp that is switched:
+ * nothing else changes, and truth/ says where and how much. */
 #include "sim/train/dataset.h"
 
 #include "core/base/pool.h"
@@ -14,23 +14,21 @@
 
 enum { INPUTS = 6, SHOTS = 3, SIZE = 64 };
 
-static err_t write_lit(const char *name, float share, float flicker, const struct optics *optics,
-                       int threads)
+static const struct dataset_request plain = {
+    .sample = {.seed = 5,
+               .kind = WORLD_ROOM,
+               .n_views = 2 * INPUTS - 1,
+               .size = SIZE,
+               .spread = 0.3f,
+               .fov_deg = 60,
+               .quality = {.samples = 2, .shadow = 1}},
+    .n_exposures = 4,
+    .stops = {-4, -2, 0, 2},
+    .noise = true,
+};
+
+static err_t write_request(const char *name, struct dataset_request a, int threads)
 {
-    struct dataset_request a = {.sample = {.seed = 5,
-                                           .kind = WORLD_ROOM,
-                                           .n_views = 2 * INPUTS - 1,
-                                           .size = SIZE,
-                                           .spread = 0.3f,
-                                           .fov_deg = 60,
-                                           .quality = {.samples = 2, .shadow = 1},
-                                           .n_optics = optics ? 1 : 0,
-                                           .optics = optics},
-                                .n_exposures = 4,
-                                .stops = {-4, -2, 0, 2},
-                                .noise = true,
-                                .passer = {7, share},
-                                .flicker = flicker};
     struct arena keep, tmp;
     struct pool *pool = NULL;
     struct plan p = plan_begin(threads);
@@ -50,7 +48,26 @@ static err_t write_lit(const char *name, float share, float flicker, const struc
 
 static err_t write_set(const char *name, float share, const struct optics *optics, int threads)
 {
-    return write_lit(name, share, 0, optics, threads);
+    struct dataset_request a = plain;
+    a.passer = (struct passer){7, share};
+    a.sample.n_optics = optics ? 1 : 0;
+    a.sample.optics = optics;
+    return write_request(name, a, threads);
+}
+
+static err_t write_flicker(const char *name, float flicker, int threads)
+{
+    struct dataset_request a = plain;
+    a.flicker = flicker;
+    return write_request(name, a, threads);
+}
+
+static err_t write_switched(const char *name, float lit, int threads)
+{
+    struct dataset_request a = plain;
+    a.sample.switched = SAMPLE_OFF;
+    a.lit = lit;
+    return write_request(name, a, threads);
 }
 
 static const char *in_set(const char *set, const char *folder, const char *name)
@@ -161,7 +178,7 @@ static void light_flickers(void **state)
     tmpdir_remove();
     tmpdir_make();
     assert_int_equal(write_set("without", 0, NULL, 1), OK);
-    assert_int_equal(write_lit("flicker", 0, 0.5f, NULL, 2), OK);
+    assert_int_equal(write_flicker("flicker", 0.5f, 2), OK);
     FILE *f = fopen(tmpdir_path("flicker/truth/light.json"), "r");
     assert_non_null(f);
     while (fscanf(f, "%*[^\"]\"%127[^\"]\": %lf", name, &stops) == 2) {
@@ -179,8 +196,38 @@ static void light_flickers(void **state)
         snprintf(name, sizeof name, "test_ldr_%03d_1.png", i);
         assert_true(compare_photographs("flicker", name, &inside) == 0);
     }
-    assert_int_equal(write_lit("dark", 0, 3.1f, NULL, 1), ERR_ARG);
+    assert_int_equal(write_flicker("dark", 3.1f, 1), ERR_ARG);
     assert_non_null(strstr(err_text(), "flicker"));
+}
+
+/* The photographs that the file names are brighter than with the lamp off; the others, and what is
+ * held out, are the same. */
+static void a_lamp_is_switched(void **state)
+{
+    char name[NAME_CAP];
+    double inside = 0;
+    int n = 0, lit = 0, on;
+    (void)state;
+    tmpdir_remove();
+    tmpdir_make();
+    assert_int_equal(write_switched("without", 0, 1), OK);
+    assert_int_equal(write_switched("some", 0.34f, 2), OK);
+    FILE *f = fopen(tmpdir_path("some/truth/lamp.json"), "r");
+    assert_non_null(f);
+    while (fscanf(f, "%*[^\"]\"%127[^\"]\": %d", name, &on) == 2) {
+        const double more = mean_of("some", name) - mean_of("without", name);
+        assert_true(on ? more > 3 : more == 0);
+        lit += on;
+        n++;
+    }
+    fclose(f);
+    assert_int_equal(n, INPUTS * SHOTS);
+    assert_int_equal(lit, n / 3); // all photographs of two places
+    for (int i = 0; i < INPUTS - 1; i++) {
+        snprintf(name, sizeof name, "test_ldr_%03d_3.png", i);
+        assert_true(compare_photographs("some", name, &inside) == 0);
+    }
+    assert_int_equal(write_switched("many", 1.1f, 1), ERR_ARG);
 }
 
 static void wrong_shares(void **state)
@@ -195,6 +242,7 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(others_stay), cmocka_unit_test(behind_a_lens),
-        cmocka_unit_test(light_flickers), cmocka_unit_test(wrong_shares)};
+        cmocka_unit_test(light_flickers), cmocka_unit_test(a_lamp_is_switched),
+        cmocka_unit_test(wrong_shares)};
     return cmocka_run_group_tests(tests, tmpdir_setup, tmpdir_teardown);
 }
