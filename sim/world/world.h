@@ -35,8 +35,8 @@ void world_cameras(const struct world *w, const struct world_path *path, uint64_
                    struct camera *cams);
 
 /* A light that is switched: outdoors the sun where it shines, elsewhere a lamp near the focus,
- * which the world has beside its own, as bright as those of a room or up to eight times weaker. On and
- * off, all else is the same. */
+ * which the world has beside its own, as bright as those of a room or up to eight times weaker. On
+ * and off, all else is the same. */
 void world_switch_light(struct world *w, uint64_t seed, bool on);
 
 #endif
