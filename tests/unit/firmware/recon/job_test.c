@@ -144,7 +144,7 @@ static void warnings_are_bounded(void **state)
     (void)state;
     static struct job_result j;
     for (int i = 0; i < JOB_WARNINGS + 3; i++)
-        job_result_warn(&j, "%0400d", i);
+        job_result_warn(&j, "%0600d", i);
     assert_int_equal(j.n_warnings, JOB_WARNINGS);
     assert_int_equal(strlen(j.warnings[0]), sizeof j.warnings[0] - 1);
 }
