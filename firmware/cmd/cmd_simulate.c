@@ -363,67 +363,66 @@ static int simulate(const struct cmd_usage *usage, struct request *rq, int argc,
     return code;
 }
 
+static struct request rq;
+
+static const struct cmd_option options[] = {
+    {"out", "DIR", "folder of the data set; a former one is replaced", NULL, &rq.out, NULL},
+    CMD_FORCE(rq.rules),
+    CMD_KEY("seed", "N", "seed", "which world"),
+    {"views", "N", "inputs, 2..128; a view is held out between two (9)", NULL, &rq.views, NULL},
+    {"kind", "K",
+     "room, yard, dark, plain, mirror or park (default: the seed chooses room or yard)", NULL,
+     &rq.kind, NULL},
+    {"spread", "X", "0 all cameras in one place .. 1 around the subject (0.3)", NULL, &rq.spread,
+     NULL},
+    {"orbit", "DEG", "in a park: input views all around the subject, DEG degrees apart, 1..180",
+     NULL, &rq.orbit, NULL},
+    {"walk", NULL, "in a park: 2..256 views around the subject, all inputs", NULL, NULL, &rq.walk},
+    {"depth", NULL, "write radiance and depth of the input views, too", NULL, NULL, &rq.depth},
+    {"fov", "DEG", "field of view, 20..120 (60)", NULL, &rq.fov, NULL},
+    {"lens", "SPEC...",
+     "a camera: k1=-0.25,k2=0.05 (k1 k2 p1 p2) or fisheye,k1=.. (k1..k4), fov=70 size=800x600 "
+     "v2=-0.3 v4=0.05 cos4 gain=1.1 wb=1.05/1/0.97; several take turns",
+     NULL, rq.lens, NULL},
+    {"rig", "PATH", "the cameras of a rig: rig.json, cameras.json, COLMAP; brought into place",
+     NULL, &rq.rig_path, NULL},
+    {"board", "P",
+     "a board of tags before the cameras, as hdrig rig board prints it on " BOARDPDF_PAPERS
+     "; lengths of --rig are metres then",
+     NULL, &rq.board, NULL},
+    {"tag", "MM", "edge of a tag of the board", NULL, &rq.tag, NULL},
+    {"distance", "M", "of the board from the cameras (1)", NULL, &rq.distance, NULL},
+    {"before", "A-B", "cameras that the board stands before (all)", NULL, &rq.before, NULL},
+    {"free-hand", NULL, "vary height, target and roll of the cameras", NULL, NULL, &rq.free_hand},
+    {"exposures", "LIST", "exposure times, relative to the metered one (0.015625,0.0625,0.25,1,4)",
+     NULL, &rq.exposures, NULL},
+    {"curve", "C", "linear, srgb, gamma, filmic, agx, log or random (filmic)", NULL, &rq.curve,
+     NULL},
+    {"local-tone", "L",
+     "what a telephone does to its pictures before the curve: none, base, clahe or fusion "
+     "(none)",
+     NULL, &rq.local, NULL},
+    {"moving", "SHARE",
+     "somebody passes by in a third of the inputs' photographs and covers that share of them, "
+     "0.002..0.3; truth/masks says where",
+     NULL, &rq.moving, NULL},
+    {"flicker", "STOPS",
+     "the light of each of the inputs' photographs is up to STOPS brighter or darker, 0..3; "
+     "truth/light.json says how much",
+     NULL, &rq.flicker, NULL},
+    {"lamp-switch", "SHARE",
+     "a lamp, outdoors the sun, is on in that share of the inputs only, 0..1; truth/lamp.json "
+     "says in which",
+     NULL, &rq.lamp_switch, NULL},
+    {"noise-free", NULL, "no noise", NULL, NULL, &rq.noise_free},
+    {"samples", "N", "rays per pixel and axis, 1..8 (6)", NULL, &rq.samples, NULL},
+    CMD_SIZE,
+    CMD_THREADS,
+    CMD_MEMORY,
+};
+
 int cmd_simulate_run(int argc, char **argv)
 {
-    static struct request rq;
-    const struct cmd_option options[] = {
-        {"out", "DIR", "folder of the data set; a former one is replaced", NULL, &rq.out, NULL},
-        CMD_FORCE(rq.rules),
-        CMD_KEY("seed", "N", "seed", "which world"),
-        {"views", "N", "inputs, 2..128; a view is held out between two (9)", NULL, &rq.views, NULL},
-        {"kind", "K",
-         "room, yard, dark, plain, mirror or park (default: the seed chooses room or yard)", NULL,
-         &rq.kind, NULL},
-        {"spread", "X", "0 all cameras in one place .. 1 around the subject (0.3)", NULL,
-         &rq.spread, NULL},
-        {"orbit", "DEG", "in a park: input views all around the subject, DEG degrees apart, 1..180",
-         NULL, &rq.orbit, NULL},
-        {"walk", NULL, "in a park: 2..256 views around the subject, all inputs", NULL, NULL,
-         &rq.walk},
-        {"depth", NULL, "write radiance and depth of the input views, too", NULL, NULL, &rq.depth},
-        {"fov", "DEG", "field of view, 20..120 (60)", NULL, &rq.fov, NULL},
-        {"lens", "SPEC...",
-         "a camera: k1=-0.25,k2=0.05 (k1 k2 p1 p2) or fisheye,k1=.. (k1..k4), fov=70 size=800x600 "
-         "v2=-0.3 v4=0.05 cos4 gain=1.1 wb=1.05/1/0.97; several take turns",
-         NULL, rq.lens, NULL},
-        {"rig", "PATH", "the cameras of a rig: rig.json, cameras.json, COLMAP; brought into place",
-         NULL, &rq.rig_path, NULL},
-        {"board", "P",
-         "a board of tags before the cameras, as hdrig rig board prints it on " BOARDPDF_PAPERS
-         "; lengths of --rig are metres then",
-         NULL, &rq.board, NULL},
-        {"tag", "MM", "edge of a tag of the board", NULL, &rq.tag, NULL},
-        {"distance", "M", "of the board from the cameras (1)", NULL, &rq.distance, NULL},
-        {"before", "A-B", "cameras that the board stands before (all)", NULL, &rq.before, NULL},
-        {"free-hand", NULL, "vary height, target and roll of the cameras", NULL, NULL,
-         &rq.free_hand},
-        {"exposures", "LIST",
-         "exposure times, relative to the metered one (0.015625,0.0625,0.25,1,4)", NULL,
-         &rq.exposures, NULL},
-        {"curve", "C", "linear, srgb, gamma, filmic, agx, log or random (filmic)", NULL, &rq.curve,
-         NULL},
-        {"local-tone", "L",
-         "what a telephone does to its pictures before the curve: none, base, clahe or fusion "
-         "(none)",
-         NULL, &rq.local, NULL},
-        {"moving", "SHARE",
-         "somebody passes by in a third of the inputs' photographs and covers that share of them, "
-         "0.002..0.3; truth/masks says where",
-         NULL, &rq.moving, NULL},
-        {"flicker", "STOPS",
-         "the light of each of the inputs' photographs is up to STOPS brighter or darker, 0..3; "
-         "truth/light.json says how much",
-         NULL, &rq.flicker, NULL},
-        {"lamp-switch", "SHARE",
-         "a lamp, outdoors the sun, is on in that share of the inputs only, 0..1; truth/lamp.json "
-         "says in which",
-         NULL, &rq.lamp_switch, NULL},
-        {"noise-free", NULL, "no noise", NULL, NULL, &rq.noise_free},
-        {"samples", "N", "rays per pixel and axis, 1..8 (6)", NULL, &rq.samples, NULL},
-        CMD_SIZE,
-        CMD_THREADS,
-        CMD_MEMORY,
-    };
     const struct cmd_usage usage = {
         "simulate", "--out DIR ",
         "A procedural world, photographed by a simulated rig, in the released data layout.",
