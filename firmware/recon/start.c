@@ -4,6 +4,7 @@
 
 #include "firmware/base/engine.h"
 #include "firmware/recon/completion.h"
+#include "firmware/recon/contradiction.h"
 #include "firmware/recon/dump.h"
 #include "firmware/recon/figures.h"
 #include "firmware/recon/locate.h"
@@ -16,6 +17,7 @@
 #include "core/refine/correct.h"
 #include "core/refine/response_refit.h"
 #include "core/splat/anysplat.h"
+#include "core/stereo/contradict.h"
 #include "core/stereo/far.h"
 #include "core/stereo/seed.h"
 #include "core/stereo/sweep.h"
@@ -381,6 +383,19 @@ static err_t complete_depth(struct start *s)
     return e;
 }
 
+/* A guess is said to be one already. Its time counts as that of the cameras: that of the sweep
+ * tells how fast the machine is. */
+static err_t check_places(struct start *s)
+{
+    const struct job_cameras *c = &s->out->cameras;
+    if (!c->found || c->confidence < LOCATE_CONFIDENT)
+        return OK;
+    job_result_lap(s->out, JOB_SWEEP);
+    err_t e = contradiction_run(s->run, &s->merged.views, &s->merged.tone, &s->depth, s->out);
+    job_result_lap(s->out, JOB_CAMERAS);
+    return e;
+}
+
 err_t start_stereo(struct start *s)
 {
     const struct run *r = s->run;
@@ -395,6 +410,8 @@ err_t start_stereo(struct start *s)
         e = sweep_run(r, &merged->views, &merged->tone, &s->depth);
     if (!e)
         e = far_run(r, &merged->views, &merged->tone, &s->depth);
+    if (!e)
+        e = check_places(s);
     if (!e && s->recipe->complete)
         e = complete_depth(s);
     if (!e && out->views.n_more == 0 && !out->views.srgb) {
@@ -584,6 +601,8 @@ static void plan_stereo(struct plan *p, const struct job_config *cfg, const stru
     exposure_stack_merge_plan(p, v);
     sweep_plan(p, v, maps);
     far_plan(p, maps, v->n);
+    if (recipe->cameras == RECIPE_BUNDLE)
+        contradict_plan(p, maps, v->n);
     if (recipe->complete)
         completion_plan(p, &cfg->network->net, maps, v->n);
     if (v->n_more == 0)

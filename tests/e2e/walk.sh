@@ -41,6 +41,20 @@ at_least "views that are placed" "$(number "$OUT/most/report.json" cameras views
 grep -q 'train_ldr_037_0.png is left out: it is black all over' "$OUT/most/report.json" ||
     fail "nothing is said of a black photograph"
 
+# round a pavilion, whose columns are taken for each other: that is said
+succeed simulate --kind park --orbit 24 --views 6 --seed 7 --size 112 --samples 1 \
+    --exposures 0.4,0.6,1 --out "$OUT/round"
+mkdir "$OUT/alike"
+cp "$OUT"/round/images/train_ldr_*_0.png "$OUT/round/exposure.json" "$OUT/alike"
+succeed reconstruct --rig none --model none --refine 0 --size 112 --images "$OUT/alike" \
+    --out "$OUT/wrong"
+grep -q 'parts of a scene look alike' "$OUT/wrong/report.json" ||
+    fail "nothing is said of cameras at the wrong columns"
+for scene in scene most; do
+    ! grep -q 'parts of a scene look alike' "$OUT/$scene/report.json" ||
+        fail "$scene: right places are called wrong"
+done
+
 # more than can be found
 mkdir "$OUT/crowd"
 for i in $(seq 513); do

@@ -1,0 +1,40 @@
+/* contradict.h - whether photographs contradict the places of their cameras. Where parts of a scene
+ * look alike, a camera can be placed at the wrong one of them with a small reprojection error: its
+ * points fit, but what is beside and behind them does not.
+ * A sample is a textured patch of a confirmed surface of one view in the picture of another that
+ * sees it from about the same direction, with nothing known before it. It agrees where the other
+ * view confirms the surface and looks the same there. It contradicts where that looks different and
+ * the other view surely sees through the surface to something behind it, or confirms nothing at
+ * all (Zach et al., "What can missing correspondences tell us about 3D structure and motion?", CVPR
+ * 2008; Heinly et al., "Correcting for duplicate scene structure in sparse 3D reconstruction", ECCV
+ * 2014). Exposures do not matter.
+ * Pure computation; thread: any. The result does not depend on the number of threads. */
+#ifndef STEREO_CONTRADICT_H
+#define STEREO_CONTRADICT_H
+
+#include "core/base/plan.h"
+#include "core/stereo/sweep.h"
+
+#define CONTRADICT_VIEW 0.2f   // share of the samples of a view, more: its place is wrong
+#define CONTRADICT_SCENE 0.05f // of all samples, more: places are wrong, whichever they are
+
+struct contradict {
+    float share;    // of all samples that agree or contradict: that contradict; 0: by chance
+    float rest;     // of those between views that are not wrong
+    int n_wrong;    // views
+    bool *wrong;    // (views) it contradicts those that are not wrong
+    float *of_view; // (views) as share, of the samples of one view in others and of theirs in it;
+                    // of a wrong one without the views that are more wrong
+};
+
+/* v:    the views of the maps, with cameras. d: of sweep_run, and far_run or not.
+ * out:  lives in r->tmp.
+ * err:  ERR_NOMEM (see contradict_plan), ERR_CANCELLED. */
+MUST_USE err_t contradict_run(const struct run *r, const struct views *v,
+                              const struct tonemap *tone, const struct depthmaps *d,
+                              struct contradict *out);
+
+/* Count the memory, which is held until the caller resets r->tmp. maps: (n) shapes of the maps. */
+void contradict_plan(struct plan *p, const struct extent *maps, int n);
+
+#endif

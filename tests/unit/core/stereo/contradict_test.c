@@ -1,0 +1,243 @@
+/* Equal columns before a wall, photographed from places side by side. A photograph that is placed
+ * one column too far has its columns right and its wall wrong. */
+#include "core/stereo/contradict.h"
+
+#include "core/base/pool.h"
+#include "core/photo/response.h"
+#include "tests/unit/squares.h"
+
+#include <math.h>
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <string.h>
+
+#include <cmocka.h>
+
+enum { VIEWS = 5, SIZE = 96, PX = SIZE * SIZE };
+
+#define APART 0.1f  // between cameras
+#define PERIOD 0.6f // of the columns
+#define NEAR 2.0f   // of the columns, depth
+#define WALL 5.0f
+
+static struct place {
+    struct arena tmp;
+    struct run run;
+    struct views views;
+    struct tonemap tone;
+    struct depthmaps maps;
+    struct contradict found;
+    struct camera cams[VIEWS];
+    float log2t[VIEWS], depth[VIEWS * PX], conf[VIEWS * PX];
+    uint8_t rgb[3 * VIEWS * PX], masked[VIEWS * PX];
+} w;
+
+/* -1..1, another for each lattice point. */
+static float lattice(int x, int y)
+{
+    uint32_t h = (uint32_t)x * 374761393u + (uint32_t)y * 668265263u;
+    h = (h ^ (h >> 13)) * 1274126177u;
+    return (float)((h ^ (h >> 16)) & 0xffff) / 32767.5f - 1;
+}
+
+/* Stops at a place of a surface, whose lattice has an edge of 1. */
+static float texture(float x, float y)
+{
+    const int ix = (int)floorf(x), iy = (int)floorf(y);
+    const float fx = x - (float)ix, fy = y - (float)iy;
+    const float a = lattice(ix, iy) + fx * (lattice(ix + 1, iy) - lattice(ix, iy));
+    const float b = lattice(ix, iy + 1) + fx * (lattice(ix + 1, iy + 1) - lattice(ix, iy + 1));
+    return a + fy * (b - a);
+}
+
+/* Of the light that a camera at x gets in px (u, v); *z: its depth. */
+static float stops_at(float x, float u, float v, float *z)
+{
+    const float right = (u - SIZE / 2) / SIZE, down = (v - SIZE / 2) / SIZE;
+    float along = fmodf(x + NEAR * right + 100 * PERIOD, PERIOD);
+    *z = along < 0.4f * PERIOD ? NEAR : WALL;
+    return *z < WALL ? texture(20 * along, 15 * NEAR * down)
+                     : texture(5 * (x + WALL * right) + 70, 5 * WALL * down);
+}
+
+/* Photograph and depth of a view whose camera stands at x. */
+static void photograph(int view, float x)
+{
+    for (int i = 0; i < PX; i++) {
+        float *z = &w.depth[view * PX + i];
+        const float stops =
+            stops_at(x, (float)(i % SIZE) + 0.5f, (float)(i / SIZE) + 0.5f, z) + w.log2t[view];
+        for (int c = 0; c < 3; c++)
+            w.rgb[3 * (view * PX + i) + c] =
+                (uint8_t)(255 * response_display(&w.tone, c, stops) + 0.5f);
+    }
+}
+
+static int setup(void **state)
+{
+    (void)state;
+    memset(&w, 0, sizeof w);
+    w.run.tmp = &w.tmp;
+    w.maps = (struct depthmaps){VIEWS, 1, squares(VIEWS, SIZE), w.depth, w.conf, NULL};
+    w.views = (struct views){.n = VIEWS,
+                             .size = SIZE,
+                             .extent = squares(VIEWS, SIZE),
+                             .rgb = w.rgb,
+                             .log2t = w.log2t,
+                             .cams = w.cams};
+    response_srgb(0, &w.tone);
+    for (int i = 0; i < VIEWS; i++) {
+        w.log2t[i] = i % 2 ? 0.5f : -0.5f;
+        w.cams[i] = (struct camera){.w = SIZE,
+                                    .h = SIZE,
+                                    .fx = SIZE,
+                                    .fy = SIZE,
+                                    .cx = SIZE / 2,
+                                    .cy = SIZE / 2,
+                                    .q = {1, 0, 0, 0},
+                                    .t = {-APART * (float)i, 0, 0}};
+        photograph(i, APART * (float)i);
+    }
+    for (int k = 0; k < VIEWS * PX; k++)
+        w.conf[k] = 1;
+    return arena_init(&w.tmp, "tmp", 4 << 20);
+}
+
+static int teardown(void **state)
+{
+    (void)state;
+    arena_free(&w.tmp);
+    return 0;
+}
+
+static void judge(void)
+{
+    assert_int_equal(contradict_run(&w.run, &w.views, &w.tone, &w.maps, &w.found), OK);
+}
+
+/* The photograph of a view comes from one column farther than its camera; stereo confirms the
+ * columns only, and guesses the rest. */
+static void misplace(int view)
+{
+    photograph(view, APART * (float)view + PERIOD);
+    for (int k = view * PX; k < (view + 1) * PX; k++)
+        if (w.depth[k] >= WALL) {
+            w.depth[k] = 1.5f * NEAR;
+            w.conf[k] = 0.1f;
+        }
+}
+
+static void assert_wrong(int view)
+{
+    for (int i = 0; i < VIEWS; i++)
+        assert_int_equal(w.found.wrong[i], i == view);
+    assert_int_equal(w.found.n_wrong, view >= 0);
+}
+
+static void test_right_places_do_not_contradict(void **state)
+{
+    (void)state;
+    judge();
+    assert_wrong(-1);
+    assert_true(w.found.share < 0.01f);
+    assert_true(w.found.rest < 0.01f);
+}
+
+static void test_the_misplaced_photograph_is_told(void **state)
+{
+    (void)state;
+    misplace(3);
+    judge();
+    assert_wrong(3);
+    assert_true(w.found.of_view[3] > CONTRADICT_VIEW);
+    assert_true(w.found.share > w.found.rest);
+    assert_true(w.found.rest < 0.01f);
+}
+
+/* Two of five: pairs of each sort agree and contradict. */
+static void test_a_scene_of_misplaced_photographs_is_told(void **state)
+{
+    (void)state;
+    misplace(1);
+    misplace(3);
+    judge();
+    assert_true(w.found.share > CONTRADICT_SCENE);
+    assert_true(w.found.wrong[1] && w.found.wrong[3]);
+}
+
+static void test_a_surface_that_is_seen_through_contradicts(void **state)
+{
+    (void)state;
+    photograph(2, 40.5f * PERIOD);
+    for (int k = 2 * PX; k < 3 * PX; k++)
+        w.depth[k] = 2 * WALL;
+    judge();
+    assert_wrong(2);
+}
+
+/* A wrong match where pictures look the same is stereo's mistake, and none of the place. */
+static void test_a_wrong_depth_alone_does_not(void **state)
+{
+    (void)state;
+    for (int k = 2 * PX; k < 3 * PX; k++)
+        w.depth[k] *= 1.3f;
+    judge();
+    assert_wrong(-1);
+    assert_true(w.found.share < 0.02f);
+}
+
+static void test_what_is_masked_proves_nothing(void **state)
+{
+    (void)state;
+    misplace(3);
+    w.views.masked = w.masked;
+    for (int i = 0; i < VIEWS; i++)
+        memset(w.masked + i * PX, i != 3, PX);
+    judge();
+    assert_wrong(-1);
+    assert_true(w.found.share == 0);
+}
+
+static void test_threads_do_not_matter(void **state)
+{
+    (void)state;
+    struct place alone;
+    misplace(3);
+    judge();
+    alone = w;
+    assert_int_equal(pool_open(&w.run.pool, 3), OK);
+    judge();
+    pool_close(w.run.pool);
+    assert_true(w.found.share == alone.found.share && w.found.rest == alone.found.rest);
+    assert_memory_equal(w.found.of_view, alone.found.of_view, VIEWS * sizeof(float));
+}
+
+static void test_the_plan_is_what_it_takes(void **state)
+{
+    (void)state;
+    struct plan p = plan_begin(1);
+    contradict_plan(&p, w.maps.extent, VIEWS);
+    judge();
+    assert_int_equal(p.tmp.peak, w.tmp.peak);
+    arena_free(&w.tmp);
+    assert_int_equal(arena_init(&w.tmp, "tmp", p.tmp.peak - 64), OK);
+    assert_int_equal(contradict_run(&w.run, &w.views, &w.tone, &w.maps, &w.found), ERR_NOMEM);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test_setup_teardown(test_right_places_do_not_contradict, setup, teardown),
+        cmocka_unit_test_setup_teardown(test_the_misplaced_photograph_is_told, setup, teardown),
+        cmocka_unit_test_setup_teardown(test_a_scene_of_misplaced_photographs_is_told, setup,
+                                        teardown),
+        cmocka_unit_test_setup_teardown(test_a_surface_that_is_seen_through_contradicts, setup,
+                                        teardown),
+        cmocka_unit_test_setup_teardown(test_a_wrong_depth_alone_does_not, setup, teardown),
+        cmocka_unit_test_setup_teardown(test_what_is_masked_proves_nothing, setup, teardown),
+        cmocka_unit_test_setup_teardown(test_threads_do_not_matter, setup, teardown),
+        cmocka_unit_test_setup_teardown(test_the_plan_is_what_it_takes, setup, teardown),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}
