@@ -221,7 +221,7 @@ static void test_the_plan_is_what_it_takes(void **state)
     judge();
     assert_int_equal(p.tmp.peak, w.tmp.peak);
     arena_free(&w.tmp);
-    assert_int_equal(arena_init(&w.tmp, "tmp", p.tmp.peak - 64), OK);
+    assert_int_equal(arena_init(&w.tmp, "tmp", p.tmp.peak / 2), OK);
     assert_int_equal(contradict_run(&w.run, &w.views, &w.tone, &w.maps, &w.found), ERR_NOMEM);
 }
 
