@@ -2,7 +2,8 @@
  * confirmed surfaces of all into a depth buffer, which tells what is hidden; draw the light of one
  * other after another as the view would see it through that other's depth, and compare windows by
  * their correlation. Then the view with the largest share of contradictions is taken out, and
- * again, until none has too many: a wrong one makes the others suspicious, too. */
+ * again, until none has too many: a wrong one makes the others suspicious, too. The median of the
+ * others tells whether most are wrong: who passes by contradicts in some photographs only. */
 #include "core/stereo/contradict.h"
 
 #include "core/base/num.h"
@@ -56,6 +57,7 @@ struct comparison {
     bool *sure;              // (maps) a confirmed surface with reliable light
     struct pair *pairs;      // (n, OTHERS) of what the first n_pairs[i] are used
     int *n_pairs;            // (n)
+    float *sort;             // (n)
     struct scratch *scratch; // (workers)
 };
 
@@ -301,21 +303,21 @@ static err_t compare_view(void *ctx, int view, int worker)
 
 /* ---- judgement ---- */
 
-/* Of the pairs of a view, or of all if it is -1, without wrong views; 0 by chance. */
-static float share_contrary(const struct comparison *c, const bool *wrong, int view)
+/* What others that are not wrong have in the picture of a view. */
+static struct pair sum_samples(const struct comparison *c, const bool *wrong, int view)
 {
-    const struct extent *maps = c->d->extent;
-    const size_t px = view < 0 ? extent_total(maps, c->d->n) / 4 : extent_pixels(&maps[view]);
-    int sum[2] = {0, 0};
-    for (int i = 0; i < c->d->n * OTHERS; i++) {
-        const struct pair *p = &c->pairs[i];
-        const bool used = i % OTHERS < c->n_pairs[i / OTHERS] &&
-                          (view < 0 || p->of == view || p->in == view) && !wrong[p->of] &&
-                          !wrong[p->in];
-        sum[0] += used ? p->agree : 0;
-        sum[1] += used ? p->contrary : 0;
+    struct pair sum = {.in = view};
+    for (int k = 0; k < c->n_pairs[view]; k++) {
+        const struct pair *p = &c->pairs[view * OTHERS + k];
+        sum.agree += wrong[p->of] ? 0 : p->agree;
+        sum.contrary += wrong[p->of] ? 0 : p->contrary;
     }
-    return (size_t)sum[1] * FEW > px ? (float)sum[1] / (float)(sum[0] + sum[1]) : 0;
+    return sum;
+}
+
+static float share_contrary(const struct pair *p)
+{
+    return p->contrary > 0 ? (float)p->contrary / (float)(p->agree + p->contrary) : 0;
 }
 
 /* The view that is wrong by most, -1: none is. */
@@ -326,8 +328,10 @@ static int find_wrong(const struct comparison *c, struct contradict *out)
     for (int i = 0; i < c->d->n; i++) {
         if (out->wrong[i])
             continue;
-        out->of_view[i] = share_contrary(c, out->wrong, i);
-        if (out->of_view[i] > most) {
+        const struct pair sum = sum_samples(c, out->wrong, i);
+        out->of_view[i] = share_contrary(&sum);
+        if (out->of_view[i] > most &&
+            (size_t)sum.contrary * FEW > extent_pixels(&c->d->extent[i])) {
             most = out->of_view[i];
             worst = i;
         }
@@ -337,13 +341,21 @@ static int find_wrong(const struct comparison *c, struct contradict *out)
 
 static void judge_views(const struct comparison *c, struct contradict *out)
 {
-    int i;
-    out->share = share_contrary(c, out->wrong, -1);
+    struct pair all = {0};
+    int i, n = 0;
     while ((i = find_wrong(c, out)) >= 0) {
         out->wrong[i] = true;
         out->n_wrong++;
     }
-    out->rest = share_contrary(c, out->wrong, -1);
+    for (i = 0; i < c->d->n; i++) {
+        const struct pair sum = sum_samples(c, out->wrong, i);
+        if (!out->wrong[i] && sum.agree + sum.contrary > 0) {
+            c->sort[n++] = out->of_view[i];
+            all.contrary += sum.contrary;
+        }
+    }
+    if ((size_t)all.contrary * FEW > extent_total(c->d->extent, c->d->n) / 4)
+        out->median = num_median(c->sort, (size_t)n);
 }
 
 /* ---- memory and entry ---- */
@@ -370,6 +382,8 @@ static err_t layout(struct comparison *c, struct arena *a, const struct extent *
         e = arena_zalloc(a, views * OTHERS, sizeof *c->pairs, &c->pairs);
     if (!e)
         e = arena_zalloc(a, views, sizeof *c->n_pairs, &c->n_pairs);
+    if (!e)
+        e = arena_alloc(a, views, sizeof *c->sort, &c->sort);
     if (!e)
         e = arena_alloc(a, (size_t)workers, sizeof *c->scratch, &c->scratch);
     for (int i = 0; i < workers && !e; i++) {

@@ -15,16 +15,15 @@
 #include "core/base/plan.h"
 #include "core/stereo/sweep.h"
 
-#define CONTRADICT_VIEW 0.2f   // share of the samples of a view, more: its place is wrong
-#define CONTRADICT_SCENE 0.05f // of all samples, more: places are wrong, whichever they are
+#define CONTRADICT_VIEW 0.5f    // share of the samples in a view, more: its place is wrong
+#define CONTRADICT_MEDIAN 0.05f // of the views, more: places are wrong, whichever they are
 
 struct contradict {
-    float share;    // of all samples that agree or contradict: that contradict; 0: by chance
-    float rest;     // of those between views that are not wrong
     int n_wrong;    // views
-    bool *wrong;    // (views) it contradicts those that are not wrong
-    float *of_view; // (views) as share, of the samples of one view in others and of theirs in it;
-                    // of a wrong one without the views that are more wrong
+    bool *wrong;    // (views) most of what the others have there contradicts it
+    float *of_view; // (views) of the samples of others in its picture that agree or contradict, the
+                    // share that contradicts; without those of views that are more wrong
+    float median;   // of those that are not wrong and have samples; 0 where few contradict
 };
 
 /* v:    the views of the maps, with cameras. d: of sweep_run, and far_run or not.
