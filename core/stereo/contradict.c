@@ -303,21 +303,32 @@ static err_t compare_view(void *ctx, int view, int worker)
 
 /* ---- judgement ---- */
 
-/* What others that are not wrong have in the picture of a view. */
-static struct pair sum_samples(const struct comparison *c, const bool *wrong, int view)
-{
-    struct pair sum = {.in = view};
-    for (int k = 0; k < c->n_pairs[view]; k++) {
-        const struct pair *p = &c->pairs[view * OTHERS + k];
-        sum.agree += wrong[p->of] ? 0 : p->agree;
-        sum.contrary += wrong[p->of] ? 0 : p->contrary;
-    }
-    return sum;
-}
-
 static float share_contrary(const struct pair *p)
 {
     return p->contrary > 0 ? (float)p->contrary / (float)(p->agree + p->contrary) : 0;
+}
+
+/* What others that are not wrong have in the picture of a view, without the quarter of them that
+ * contradicts most: there their depth may be wrong. */
+static struct pair sum_samples(const struct comparison *c, const bool *wrong, int view)
+{
+    struct pair sum = {.in = view}, used[OTHERS];
+    int n = 0;
+    for (int i = 0; i < c->n_pairs[view]; i++) {
+        const struct pair now = c->pairs[view * OTHERS + i];
+        int k = n;
+        if (wrong[now.of])
+            continue;
+        for (; k > 0 && share_contrary(&used[k - 1]) < share_contrary(&now); k--)
+            used[k] = used[k - 1];
+        used[k] = now;
+        n++;
+    }
+    for (int k = (n + 3) / 4; k < n; k++) {
+        sum.agree += used[k].agree;
+        sum.contrary += used[k].contrary;
+    }
+    return sum;
 }
 
 /* The view that is wrong by most, -1: none is. */

@@ -16,13 +16,14 @@
 #include "core/stereo/sweep.h"
 
 #define CONTRADICT_VIEW 0.5f    // share of the samples in a view, more: its place is wrong
-#define CONTRADICT_MEDIAN 0.05f // of the views, more: places are wrong, whichever they are
+#define CONTRADICT_MEDIAN 0.04f // of the views, more: places are wrong, whichever they are
 
 struct contradict {
     int n_wrong;    // views
     bool *wrong;    // (views) most of what the others have there contradicts it
     float *of_view; // (views) of the samples of others in its picture that agree or contradict, the
-                    // share that contradicts; without those of views that are more wrong
+                    // share that contradicts; without those of views that are more wrong,
+                    // and of the quarter of the others that contradicts most
     float median;   // of those that are not wrong and have samples; 0 where few contradict
 };
 
