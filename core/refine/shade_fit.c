@@ -34,6 +34,7 @@ enum {
 #define DRIFT_PRIOR 0.1  // the same of light: 0.3 stops are expected, and errors of 0.1
 #define DRIFT_LEAST 0.03 // stops, root mean square: less may be the curve's error
 #define APART 0.25       // stops, exposures that differ
+#define BY_EXPOSURE 16.0 // ratio of variances, from which on light is a function of the exposure
 #define SMOOTH 0.1f      // weight of observations that the spread is measured with
 #define ROUGH 0.1f       // stops across a square, of those that a slight shift changes little
 
@@ -324,6 +325,41 @@ static double residual_spread(struct fit *f)
     return fmax(MAD * (double)num_median(f->error, n), 1e-3);
 }
 
+/* Mean drift of the n photographs at the exposure of view i. */
+static double mean_of_exposure(const struct fit *f, int i, int *n)
+{
+    const struct views *v = f->in->v;
+    double sum = 0;
+    *n = 0;
+    for (int k = 0; k < v->n; k++)
+        if (fabsf(views_set_log2t(v, k) - views_set_log2t(v, i)) < (float)APART) {
+            sum += f->drift[k];
+            (*n)++;
+        }
+    return sum / *n;
+}
+
+/* Takes the means of the exposures away where these differ by far more than photographs of one
+ * exposure let expect (analysis of variance): lamps and clouds do not know how long a camera
+ * exposes, but its image processor does. */
+static void level_exposures(struct fit *f)
+{
+    const int n = f->in->v->n;
+    double between = 0, within = 0, exposures = 0;
+    for (int i = 0; i < n; i++) {
+        int same;
+        f->sum[i] = mean_of_exposure(f, i, &same);
+        between += f->sum[i] * f->sum[i];
+        within += (f->drift[i] - f->sum[i]) * (f->drift[i] - f->sum[i]);
+        exposures += 1.0 / same;
+    }
+    const double free[2] = {exposures - 2, n - exposures}; // mean and trend are gone
+    if (free[0] < 0.5 || free[1] < 0.5 || between * free[1] <= BY_EXPOSURE * within * free[0])
+        return;
+    for (int i = 0; i < n; i++)
+        f->drift[i] -= f->sum[i];
+}
+
 /* Into the gauge. */
 static void centre_drift(struct fit *f)
 {
@@ -343,6 +379,8 @@ static void centre_drift(struct fit *f)
         const double x = (double)views_set_log2t(v, i) - middle;
         f->drift[i] -= mean + slope * x;
     }
+    if (!f->in->tone_known)
+        level_exposures(f);
 }
 
 static void bound_drift(struct fit *f, float *stops)

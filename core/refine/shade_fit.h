@@ -3,8 +3,9 @@
  * one radiance wherever they are seen. A term stays only where it predicts squares of the views
  * that were left out clearly better.
  * Gauge: the geometric mean of the cameras' gains is 1 in each colour, that of the light too. Where
- * the response is yet to be found, light has no trend over the exposures either: a curve that is
- * steeper everywhere looks the same.
+ * the response is yet to be found, light has no trend over the exposures either (a curve that is
+ * steeper everywhere looks the same), nor means of exposures that differ far more than photographs
+ * of one exposure do: that is an image processor's doing.
  * Pure computation, single thread. thread: any. */
 #ifndef REFINE_SHADE_FIT_H
 #define REFINE_SHADE_FIT_H

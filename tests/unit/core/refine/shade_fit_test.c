@@ -224,6 +224,29 @@ static void a_trend_is_light_under_a_known_curve(void **state)
         assert_float_equal(w.stops[i], 0, 0.02);
 }
 
+/* Nor is another function of the exposure, as image processors make it, under a curve that is not
+ * known; light whose means at the exposures differ by chance is. */
+static void a_function_of_the_exposure_is_no_light(void **state)
+{
+    static const float made[3] = {0.4f, -0.8f, 0.4f};
+    struct shade_fit_camera found[2];
+    (void)state;
+    w.in.n_cameras = 0;
+    w.in.tone_known = false;
+    for (int i = 0; i < VIEWS; i++) {
+        w.log2t[i] += made[i % 3];
+        photograph(i, &none);
+        w.log2t[i] -= made[i % 3];
+    }
+    assert_int_equal(shade_fit_run(&w.r, &w.in, found, &w.drift, &w.change), OK);
+    assert_false(w.drift.kept);
+    light_up(1);
+    assert_int_equal(shade_fit_run(&w.r, &w.in, found, &w.drift, &w.change), OK);
+    assert_true(w.drift.kept);
+    for (int i = 0; i < VIEWS; i++)
+        assert_float_equal(w.stops[i], lit[i], 0.06);
+}
+
 /* Stops that are in the exposures already are found again, not those that are left. */
 static void known_light_is_not_counted_twice(void **state)
 {
@@ -321,6 +344,7 @@ int main(void)
         cmocka_unit_test_setup_teardown(one_camera_has_vignetting_only, setup, teardown),
         cmocka_unit_test_setup_teardown(light_that_changes_is_found, setup, teardown),
         cmocka_unit_test_setup_teardown(a_trend_is_light_under_a_known_curve, setup, teardown),
+        cmocka_unit_test_setup_teardown(a_function_of_the_exposure_is_no_light, setup, teardown),
         cmocka_unit_test_setup_teardown(known_light_is_not_counted_twice, setup, teardown),
         cmocka_unit_test_setup_teardown(no_light_is_farther_than_the_bound, setup, teardown),
         cmocka_unit_test_setup_teardown(little_is_not_worth_it, setup, teardown),
