@@ -465,11 +465,10 @@ err_t sample_make(const struct run *r, const struct sample_scene *a, float *radi
 
 /* ---- photographs ---- */
 
-/* Relative exposure without noise. */
-static float clean_exposure(double exposure, float radiance)
+/* Relative exposure of radiance 1 without noise. */
+static double clean_scale(double exposure)
 {
-    const double scale = exposure * (double)sensor_default.electrons / full_scale(&sensor_default);
-    return (float)((double)radiance * scale);
+    return exposure * (double)sensor_default.electrons / full_scale(&sensor_default);
 }
 
 static uint8_t code_of(const struct sample_camera *c, float exposure)
@@ -481,8 +480,9 @@ static void develop_clean(const struct sample_camera *c, const float *radiance, 
                           uint8_t *px)
 {
     size_t n = (size_t)c->w * (size_t)c->h;
+    const double scale = clean_scale(exposure);
     for (size_t i = 0; i < 3 * n; i++)
-        px[i] = code_of(c, clean_exposure(exposure, radiance[i % 3 * n + i / 3]));
+        px[i] = code_of(c, (float)((double)radiance[i % 3 * n + i / 3] * scale));
 }
 
 static err_t develop_local(const struct run *r, const struct sample_camera *c,
@@ -502,12 +502,13 @@ static err_t photograph(const struct run *r, const struct sample_camera *c, cons
 {
     const struct image picture = {c->w, c->h, 3, (float *)(uintptr_t)radiance};
     const size_t mark = arena_mark(r->tmp), n = 3 * (size_t)c->w * (size_t)c->h;
+    const double scale = clean_scale(shot->exposure_s);
     struct darkroom d;
     err_t e = alloc_darkroom(r->tmp, c, &d);
     if (!e && c->sensor)
         e = sensor_expose(r, c->sensor, shot, &picture, &d.raw);
     for (size_t i = 0; i < n && !e && c->local && !c->sensor; i++)
-        d.linear[i] = clean_exposure(shot->exposure_s, radiance[i]);
+        d.linear[i] = (float)((double)radiance[i] * scale);
     if (!e && c->local)
         e = develop_local(r, c, &d, shot, px);
     else if (!e && c->sensor)
