@@ -235,16 +235,20 @@ function openRegions() {
   stage.addEventListener("pointermove", (e) => layMarquee(at(e)));
   for (const end of ["pointerup", "pointercancel"])
     stage.addEventListener(end, (e) => {
+      const way = Math.hypot(e.clientX - down[0], e.clientY - down[1]);
       if (light.from && end === "pointerup") measureRegion(light.from, at(e));
+      else if (end === "pointerup" && e.target === canvas && way < 6 && !pointers.size) tapped(e);
       light.from = null;
       layMarquee(down);
     });
-  canvas.addEventListener("click", (e) => {
-    const way = Math.hypot(e.clientX - down[0], e.clientY - down[1]);
-    if (e.altKey || way >= 6) return;
-    if (armed("pin")) pin(at(e));
-    if (armed("measure")) measureTo(at(e));
-  });
+}
+
+/* However long it took: a click is not sent for a long press. */
+function tapped(e) {
+  const at = [e.clientX, e.clientY];
+  if (e.button) return;
+  if (armed("pin")) pin(at);
+  if (armed("measure")) measureTo(at);
 }
 
 /* ---- false colours, differences ---- */
