@@ -735,22 +735,25 @@ err_t imageset_list(const struct imageset_request *rq, struct imageset *out)
     return rq->more && rq->more[0] ? list_folders(rq, out) : list_folder(rq, out);
 }
 
-err_t imageset_decode(const struct imageset *set, int i, struct image8 *out)
+static err_t decode8(const struct imageset *set, int i, bool taken, bool mask, struct image8 *out)
 {
     char path[FILE_PATH_CAP];
-    memset(out, 0, sizeof *out);
+    struct shot s = set->capture.shots[i];
+    if (taken)
+        s.lens.model = LENS_PINHOLE;
+    *out = (struct image8){0};
     err_t e = picture_path(set, i, path);
-    return e ? e : pixels_decode(path, &set->capture.shots[i], out);
+    return e ? e : (mask ? pixels_decode_mask : pixels_decode)(path, &s, out);
+}
+
+err_t imageset_decode(const struct imageset *set, int i, struct image8 *out)
+{
+    return decode8(set, i, false, false, out);
 }
 
 err_t imageset_decode_taken(const struct imageset *set, int i, struct image8 *out)
 {
-    char path[FILE_PATH_CAP];
-    struct shot s = set->capture.shots[i];
-    s.lens.model = LENS_PINHOLE;
-    memset(out, 0, sizeof *out);
-    err_t e = picture_path(set, i, path);
-    return e ? e : pixels_decode(path, &s, out);
+    return decode8(set, i, true, false, out);
 }
 
 err_t imageset_decode16(const struct imageset *set, int i, struct image16 *out)
@@ -761,12 +764,9 @@ err_t imageset_decode16(const struct imageset *set, int i, struct image16 *out)
     return e ? e : pixels_decode16(path, &set->capture.shots[i], out);
 }
 
-err_t imageset_decode_mask(const struct imageset *set, int i, struct image8 *out)
+err_t imageset_decode_mask(const struct imageset *set, int i, bool taken, struct image8 *out)
 {
-    char path[FILE_PATH_CAP];
-    *out = (struct image8){0};
-    err_t e = picture_path(set, i, path);
-    return e ? e : pixels_decode_mask(path, &set->capture.shots[i], out);
+    return decode8(set, i, taken, true, out);
 }
 
 size_t imageset_bytes(const struct capture *c, int at_a_time)

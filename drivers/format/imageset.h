@@ -95,10 +95,11 @@ MUST_USE err_t imageset_decode_taken(const struct imageset *set, int i, struct i
  * own:  pixels_free16. */
 MUST_USE err_t imageset_decode16(const struct imageset *set, int i, struct image16 *out);
 
-/* The mask (masks.h) of a masked shot, as the picture that imageset_decode gives: black where its
- * pixels do not count, else white.
+/* The mask (masks.h) of a masked shot, as the picture that imageset_decode gives, or
+ * imageset_decode_taken: black where its pixels do not count, else white.
  * own, err:  as imageset_decode. */
-MUST_USE err_t imageset_decode_mask(const struct imageset *set, int i, struct image8 *out);
+MUST_USE err_t imageset_decode_mask(const struct imageset *set, int i, bool taken,
+                                    struct image8 *out);
 
 /* Decode every shot into the set.
  * err:  as imageset_decode; the set can still be freed. */

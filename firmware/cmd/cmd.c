@@ -314,7 +314,7 @@ static err_t decode_deep(void *ctx, int i, struct image16 *out)
 
 static err_t decode_mask(void *ctx, int i, struct image8 *out)
 {
-    return imageset_decode_mask(ctx, i, out);
+    return imageset_decode_mask(ctx, i, false, out);
 }
 
 struct prep_source cmd_source(struct imageset *set)

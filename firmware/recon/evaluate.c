@@ -26,7 +26,8 @@
 /* The photograph that is looked at. */
 struct view {
     struct extent px;
-    const uint8_t *rgb; // (h, w, 3)
+    const uint8_t *rgb;    // (h, w, 3)
+    const uint8_t *masked; // (h, w) 1: does not count; NULL: nothing is
     float log2t;
     struct camera cam;
     bool lensed;         // as it was taken, through:
@@ -48,6 +49,7 @@ struct bench {
     float *room;                       // (4, h, w)
     const uint8_t *seen;               // (h, w) pixels that count; NULL: all
     uint8_t *shown[2];                 // (h, w) what *drawn and the nearest view show of a lens
+    uint8_t *counts;                   // (h, w) what *drawn shows and no mask hides
     size_t clipped;
     struct evaluate_result *out;
 };
@@ -64,9 +66,14 @@ static void add_score(struct evaluate_score *s, const struct evaluate_score *one
     s->ssim += (one->ssim - s->ssim) / s->n;
 }
 
-static err_t compare_picture(struct bench *b, const struct image *picture,
-                             const struct image *truth, struct evaluate_score *one)
+/* What does not count becomes the same in both: windows reach over it. */
+static err_t compare_picture(struct bench *b, const struct image *picture, struct image *truth,
+                             struct evaluate_score *one)
 {
+    const size_t n = (size_t)truth->w * (size_t)truth->h;
+    for (size_t i = 0; i < 3 * n && b->seen; i++)
+        if (!b->seen[i % n])
+            truth->px[i] = picture->px[i];
     one->n = 1;
     err_t e = metrics_psnr(picture, truth, b->seen, &one->psnr);
     return e ? e : metrics_ssim(picture, truth, b->seen, b->r->tmp, &one->ssim);
@@ -152,7 +159,7 @@ static err_t lens_nearest(struct bench *b, const struct view *v, int near)
     err_t e = distort_run(b->r->pool, &j);
     memcpy(b->other.px, b->room, 3 * n * sizeof *b->room);
     for (size_t i = 0; i < n; i++)
-        b->shown[1][i] &= b->shown[0][i];
+        b->shown[1][i] &= b->counts[i];
     b->seen = b->shown[1];
     return e;
 }
@@ -172,7 +179,6 @@ static err_t measure_nearest(struct bench *b, const struct view *v)
         e = compare_picture(b, &b->other, &b->truth, &one);
     if (!e)
         add_score(&b->out->nearest, &one);
-    b->seen = v->lensed ? b->shown[0] : NULL;
     return e;
 }
 
@@ -338,7 +344,7 @@ static err_t undistort_truth(const struct run *r, const struct shot *s, struct i
     return e;
 }
 
-static err_t measure_hdr(struct bench *b, const struct shot *s)
+static err_t measure_hdr(struct bench *b, const struct shot *s, const struct view *v)
 {
     char path[FILE_PATH_CAP];
     struct image file, radiance = {b->draw.maps.w, b->draw.maps.h, 3, b->draw.maps.radiance};
@@ -348,7 +354,7 @@ static err_t measure_hdr(struct bench *b, const struct shot *s)
     e = exrfile_read(path, &file);
     if (e)
         return e;
-    if (!b->seen) // else it is looked at as taken
+    if (!v->lensed) // else it is looked at as taken
         e = undistort_truth(b->r, s, &file);
     if (!e)
         resize_image(&file, &b->other);
@@ -392,19 +398,31 @@ static err_t draw_maps(struct bench *b, const struct view *v)
         e = draw_run(b->r, &b->draw, &b->j->scene, &v->drawn);
     if (!e)
         e = take_maps(b, v);
-    b->seen = v->lensed ? b->shown[0] : NULL;
+    b->out->views++;
+    job_result_lap(b->j, JOB_RENDER);
     return e;
 }
 
-static err_t draw_view(struct bench *b, const struct shot *s, const struct view *v)
+/* Whether enough of a photograph counts to measure it. */
+static bool choose_pixels(struct bench *b, const struct view *v)
+{
+    const int w = v->px.w, h = v->px.h, rim = METRICS_SSIM_TAPS / 2;
+    bool any = false;
+    for (int i = 0; i < w * h; i++) {
+        const int x = i % w, y = i / w;
+        b->counts[i] = (!v->lensed || b->shown[0][i]) && !(v->masked && v->masked[i]);
+        any = any || (b->counts[i] && x >= rim && y >= rim && x < w - rim && y < h - rim);
+    }
+    b->seen = v->lensed || v->masked ? b->counts : NULL;
+    return any || !v->masked;
+}
+
+/* The radiance of a place, measured where its first photograph counts. */
+static err_t keep_radiance(struct bench *b, const struct shot *s, const struct view *v, bool counts)
 {
     char name[DRAW_NAME_CAP], path[FILE_PATH_CAP];
     size_t clipped = 0;
-    b->out->views++;
-    err_t e = draw_maps(b, v);
-    job_result_lap(b->j, JOB_RENDER);
-    if (!e)
-        e = measure_hdr(b, s);
+    err_t e = counts ? measure_hdr(b, s, v) : OK;
     job_result_lap(b->j, JOB_MEASURE);
     if (e || !b->o)
         return e;
@@ -441,27 +459,53 @@ static err_t set_lens(const struct shot *s, struct view *v)
     return draw_lens_camera(&v->lens, &v->cam, LENS_SIDES * num_max(v->px.w, v->px.h), &v->drawn);
 }
 
-/* out: rgb in r->keep. */
+/* One picture of a set. */
+struct one {
+    const struct imageset *set;
+    int i;
+    bool lensed;
+};
+
+static err_t decode_one(void *ctx, int i, struct image8 *out)
+{
+    const struct one *from = ctx;
+    (void)i;
+    return from->lensed ? imageset_decode_taken(from->set, from->i, out)
+                        : imageset_decode(from->set, from->i, out);
+}
+
+static err_t decode_its_mask(void *ctx, int i, struct image8 *out)
+{
+    const struct one *from = ctx;
+    (void)i;
+    return imageset_decode_mask(from->set, from->i, from->lensed, out);
+}
+
+/* out: rgb and masked in r->keep. */
 static err_t read_view(struct bench *b, int i, struct view *out)
 {
     struct shot s = b->test->capture.shots[i];
     const struct capture one = {1, &s};
+    struct one ctx = {b->test, i, is_lensed(b, &s)};
+    const struct prep_source source = {
+        .decode = decode_one, .release = img_free, .ctx = &ctx, .decode_mask = decode_its_mask};
     struct views v;
-    *out = (struct view){.lensed = is_lensed(b, &s)};
+    *out = (struct view){.lensed = ctx.lensed};
     if (!s.has_camera)
         return err_fail(ERR_ARG,
                         "%s: its camera is not known; eval needs the cameras of the test views",
                         s.name);
-    err_t e = out->lensed ? imageset_decode_taken(b->test, i, &s.image)
-                          : imageset_decode(b->test, i, &s.image);
     s.has_camera = !out->lensed;
-    if (!e)
-        e = prep_run(b->r, &one, job_result_size(&b->j->scene), &v);
-    img_free(&s.image);
+    if (out->lensed) {
+        s.image.w = s.taken_w;
+        s.image.h = s.taken_h;
+    }
+    err_t e = prep_read(b->r, &one, &source, job_result_size(&b->j->scene), &v);
     if (e)
         return e;
     out->px = v.extent[0];
     out->rgb = v.rgb;
+    out->masked = v.masked;
     out->log2t = v.log2t[0];
     if (out->lensed)
         return set_lens(&b->test->capture.shots[i], out);
@@ -494,19 +538,28 @@ static err_t do_shot(struct bench *b, int i)
 {
     char name[DRAW_NAME_CAP], path[FILE_PATH_CAP];
     const struct shot *s = &b->test->capture.shots[i];
+    const bool first = i == 0 || !name_same_view(s->name, b->test->capture.shots[i - 1].name);
     struct view v;
     struct shade shade;
     err_t e = read_view(b, i, &v);
     job_result_lap(b->j, JOB_PREPROCESS);
     if (!e)
         set_shape(b, &v.px);
-    if (!e && (i == 0 || !name_same_view(s->name, b->test->capture.shots[i - 1].name)))
-        e = draw_view(b, s, &v);
+    if (!e && first)
+        e = draw_maps(b, &v);
+    if (e)
+        return e;
+    const bool counts = choose_pixels(b, &v);
+    if (first)
+        e = keep_radiance(b, s, &v, counts);
     if (e)
         return e;
     draw_display(&b->draw, find_shade(b, s, &v, &shade) ? &shade : NULL, v.log2t);
     job_result_lap(b->j, JOB_RENDER);
-    e = measure_ldr(b, s, &v);
+    if (counts)
+        e = measure_ldr(b, s, &v);
+    else
+        job_result_warn(b->j, "%s: its mask hides all of it: it is not measured", s->name);
     job_result_lap(b->j, JOB_MEASURE);
     if (e || !b->o)
         return e;
@@ -549,7 +602,7 @@ static err_t layout(struct bench *b, struct arena *tmp, const struct extent *mos
         e = arena_alloc(tmp, most->at, 4 * sizeof *b->room, &b->room);
     for (int i = 0; i < 2 && !e; i++)
         e = arena_alloc(tmp, most->at, 1, &b->shown[i]);
-    return e;
+    return e ? e : arena_alloc(tmp, most->at, 1, &b->counts);
 }
 
 static void cover_view(struct prep_size size, int w, int h, struct extent *io)
@@ -597,8 +650,10 @@ void evaluate_plan(struct plan *p, const struct capture *test, struct prep_size 
     struct gaussians g;
     struct bench b;
     struct evaluate_picture *pictures;
+    uint8_t *masked;
     if (gaussians_init(&g, &planes, cap, 0) || layout(&b, &p->tmp, &most, &drawn, g.cap) ||
-        arena_alloc(&p->keep, (size_t)test->n, sizeof *pictures, &pictures))
+        arena_alloc(&p->keep, (size_t)test->n, sizeof *pictures, &pictures) ||
+        arena_alloc(&p->keep, most.at, 1, &masked))
         plan_refuse(p);
     prep_plan(p, 1, most.at, prep_largest(test), size.edge);
     arena_step(&p->tmp, metrics_ssim_plan(most.w));
@@ -632,6 +687,9 @@ err_t evaluate_run(const struct run *r, struct job_result *j, const struct image
             r->progress(r->progress_ctx, "evaluate", i + 1, n, NULL);
     }
     arena_reset(r->tmp, mark);
+    if (!e && out->n_pictures == 0)
+        e = err_fail(ERR_ARG, "masks hide all of every test photograph: what is black in a mask "
+                              "does not count, white does");
     if (b.clipped)
         job_result_warn(
             j, "%zu values of the EXR files are above the largest half float and stored as 65504",

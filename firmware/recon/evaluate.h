@@ -70,10 +70,11 @@ struct evaluate_seen {
 /* Add one, if there is none like it; more than there is room for are forgotten. */
 void evaluate_see(struct evaluate_seen *s, float log2t);
 
-/* Render every view of `test` once and measure all of its exposures. Times and warnings go to *j.
+/* Render every view of `test` once and measure all of its exposures, where their masks let them
+ * count. Times and warnings go to *j.
  * o:    folder for ldr/NAME.png and hdr/NAME.exr, or NULL.
- * err:  ERR_ARG (a test view without camera), those of evaluate_check, of reading, drawing and
- *       writing, ERR_CANCELLED. */
+ * err:  ERR_ARG (a test view without camera, masks of everything), those of evaluate_check, of
+ *       reading, drawing and writing, ERR_CANCELLED. */
 MUST_USE err_t evaluate_run(const struct run *r, struct job_result *j, const struct imageset *test,
                             const struct evaluate_seen *inputs, struct outdir *o,
                             struct evaluate_result *out);

@@ -27,6 +27,41 @@ same_scene known
 same_scene found --rig none
 cmp -s "$OUT/known_empty/scene.hdrig" "$OUT/bare_empty/scene.hdrig" && fail "masks do nothing"
 
+black() { # set photograph...
+    local set=$1 name
+    for name in "${@:2}"; do
+        "$BIN/make_flat" "$OUT/$set/masks/$name" 160 0
+    done
+}
+
+# what masks of test photographs hide is not measured: inputs and test photographs change places
+swap=(-e 's/train_/X/' -e 's/test_/train_/' -e 's/X/test_/')
+for set in empty passed; do
+    mkdir -p "$OUT/swap_$set/images" "$OUT/swap_$set/masks"
+    cp -r "$OUT/$set/sparse" "$OUT/swap_$set/sparse"
+    sed -i "${swap[@]}" "$OUT/swap_$set/sparse/0/images.txt"
+    sed "${swap[@]}" "$OUT/$set/exposure.json" >"$OUT/swap_$set/exposure.json"
+    for path in "$OUT/$set"/images/*.png "$OUT/$set"/masks/*.png; do
+        name=$(sed "${swap[@]}" <<<"${path##*/}")
+        cp "$path" "$OUT/swap_$set/$(basename "${path%/*}")/$name"
+    done
+    figures=(eval --data "$OUT/swap_$set" --model none --refine 0 --size 120)
+    succeed "${figures[@]}" --json "$OUT/swap_$set.json"
+    sed -i '/"seconds": {/,$d' "$OUT/swap_$set.json"
+done
+cmp "$OUT/swap_empty.json" "$OUT/swap_passed.json" || fail "what masks hide is measured"
+mv "$OUT/swap_passed/masks" "$OUT/swap_passed/other"
+succeed "${figures[@]}" --json "$OUT/swap_bare.json"
+sed -i '/"seconds": {/,$d' "$OUT/swap_bare.json"
+cmp -s "$OUT/swap_passed.json" "$OUT/swap_bare.json" && fail "masks of test photographs do nothing"
+names=("$OUT"/swap_empty/images/test_*.png)
+names=("${names[@]##*/}")
+black swap_empty "${names[0]}"
+succeed "${figures[@]/passed/empty}" --json "$OUT/swap_one.json"
+grep -q "${names[0]}: its mask hides all of it: it is not measured" "$ERR" || fail "a black mask"
+black swap_empty "${names[@]}"
+expect 1 'masks hide all of every test photograph' "${figures[@]/passed/empty}"
+
 # one exposure of each place, so that stereo sees the masks too, through a lens that distorts
 world=(--seed 7 --kind room --views 8 --samples 1 --exposures 0.25,0.35,0.5,0.7,1)
 world+=(--lens k1=-0.3,size=320x240)
@@ -56,12 +91,6 @@ hidden=$(grep -c '"masked": 0\.1' "$OUT/known_passed/report.json")
 ! grep -q '"masked"' "$OUT/bare_passed/report.json" || fail "report.json: masked without masks"
 
 # masks of everything; names and shapes that fit no photograph
-black() { # set photograph...
-    local set=$1 name
-    for name in "${@:2}"; do
-        "$BIN/make_flat" "$OUT/$set/masks/$name" 160 0
-    done
-}
 names=("$OUT"/empty/images/train_*.png)
 names=("${names[@]##*/}")
 black empty "${names[0]}"

@@ -56,7 +56,7 @@ static void masks_are_found_by_name(void **state)
     assert_string_equal(set.notes[0],
                         "1 file is not read (d.png): in masks, but no photograph has their name");
     for (int i = 0; i < 2; i++) {
-        assert_int_equal(imageset_decode_mask(&set, i, &mask), OK);
+        assert_int_equal(imageset_decode_mask(&set, i, false, &mask), OK);
         assert_true(mask.w == W && mask.h == H && mask.channels == 3);
         for (int k = 0; k < 3 * W * H; k++)
             assert_int_equal(mask.px[k], k / 3 == 5 ? 255 : 0);
@@ -83,7 +83,7 @@ static void masks_go_through_the_lens(void **state)
                                        "3 1 0 0 0 2 0 0 1 c.png\n\n");
     assert_int_equal(list(&set), OK);
     assert_true(set.capture.shots[2].image.w != W);
-    assert_int_equal(imageset_decode_mask(&set, 2, &mask), OK);
+    assert_int_equal(imageset_decode_mask(&set, 2, false, &mask), OK);
     assert_int_equal(mask.w, set.capture.shots[2].image.w);
     assert_true(mask.px[0] < 10 && mask.px[3 * (mask.w - 1)] > 245);
     img_free(&mask);
