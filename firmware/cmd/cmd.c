@@ -3,6 +3,7 @@
 #include "firmware/daemon/ctl.h"
 #include "firmware/store/raw_take.h"
 
+#include "core/base/log.h"
 #include "drivers/device/clocks.h"
 #include "drivers/format/file.h"
 #include "drivers/format/img.h"
@@ -357,6 +358,23 @@ struct job_config cmd_job(const struct config *cfg, const struct network *networ
                                         .seed = (uint64_t)cfg->seed,
                                         .poses = poses}};
     return job;
+}
+
+/* How many steps fit into a time is no property of the job: it has no checkpoints. */
+err_t cmd_checkpoints(struct outdir *out, const struct config *cfg, bool go_on,
+                      struct resume *resume, struct job_config *job)
+{
+    if (job->refine.steps == 0 || cfg->job_checkpoint_s == 0 || job->budget_s > 0) {
+        if (go_on)
+            log_info("%s: a job %s has no checkpoint: it starts from the beginning", out->path,
+                     job->budget_s > 0        ? "with a time budget"
+                     : job->refine.steps == 0 ? "without refinement"
+                                              : "with job.checkpoint_s = 0");
+        return OK;
+    }
+    err_t e = resume_open(out, cfg->job_checkpoint_s, go_on, resume);
+    job->refine.saver = &resume->saver;
+    return e;
 }
 
 err_t cmd_json_open(const char *path, struct cmd_json *out)

@@ -6,6 +6,7 @@
 #include "firmware/base/config.h"
 #include "firmware/base/teamwork.h"
 #include "firmware/recon/job.h"
+#include "firmware/result/resume.h"
 
 #include "drivers/format/imageset.h"
 #include "drivers/format/partial.h"
@@ -45,6 +46,11 @@ struct cmd_option {
 #define CMD_STRICT(to)                                                                             \
     {                                                                                              \
         "strict", NULL, "exit with 1 if there are warnings", NULL, NULL, &(to)                     \
+    }
+#define CMD_RESUME(to)                                                                             \
+    {                                                                                              \
+        "resume", NULL, "go on where a former run for the same result was interrupted", NULL,      \
+            NULL, &(to)                                                                            \
     }
 #define CMD_SIZE CMD_KEY("size", "N", "size", "longer edge of the pictures, px; or full, or auto")
 #define CMD_SEED CMD_KEY("seed", "N", "seed", "start of the random numbers")
@@ -149,6 +155,12 @@ void cmd_report_unread(const struct imageset *set, struct job_result *j);
 
 /* The part of the settings that a job takes. network: or NULL. poses: refine the cameras too. */
 struct job_config cmd_job(const struct config *cfg, const struct network *network, bool poses);
+
+/* The checkpoints of a job that refines, beside its result `out`; go_on: from the last one.
+ * own:  resume_close.
+ * err:  those of resume_open. */
+MUST_USE err_t cmd_checkpoints(struct outdir *out, const struct config *cfg, bool go_on,
+                               struct resume *resume, struct job_config *job);
 
 /* Target of --json: a file that appears when it is complete, a device, or "-" for stdout. */
 struct cmd_json {

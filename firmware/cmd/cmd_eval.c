@@ -24,7 +24,7 @@ struct request {
     struct cmd_model model;
     const char *scene, *views, *exposures, *protocol, *out, *json;
     struct outdir_rules rules;
-    bool strict;
+    bool strict, resume;
     struct config cfg;
 };
 
@@ -36,6 +36,7 @@ struct state {
     struct prep_source source;             // of train
     struct imageset true_train, true_test; // with cameras, if the network had to find them
     struct outdir out;
+    struct resume resume;
     struct cmd_json json;
     struct job_result job;
     struct evaluate_result figures;
@@ -217,6 +218,8 @@ static err_t publish_result(struct state *st, const struct request *rq)
         e = outdir_reason(&st->out, write_folder(st));
         if (!e)
             e = outdir_commit(&st->out);
+        if (!e)
+            resume_forget(st->out.path);
     }
     if (!e && st->json.f) {
         write_report(st, st->json.f);
@@ -340,6 +343,8 @@ static err_t reconstruct_inputs(struct state *st, struct request *rq)
     if (!e)
         e = reserve_memory(st, rq, need, (struct prep_size){job.size, recipe.square},
                            recipe.gaussians_max);
+    if (!e && rq->out)
+        e = cmd_checkpoints(&st->out, &rq->cfg, rq->resume, &st->resume, &job);
     if (!e)
         e = job_run(&st->engine.run, &st->train.capture, &job, &st->job);
     if (!e && unknown)
@@ -538,6 +543,20 @@ static err_t evaluate_scene(struct state *st, struct request *rq)
     return publish_result(st, rq);
 }
 
+/* NULL if the options fit together. */
+static const char *misuse_reason(const struct request *rq)
+{
+    const char *reason;
+    bool network = cmd_has_network(&rq->model, &reason);
+    if (!rq->set.images)
+        return "--data is needed";
+    if (rq->scene && (network || rq->resume))
+        return "--scene is finished, --model and --resume make one";
+    if (rq->resume && !rq->out)
+        return "--resume needs --out: its checkpoint lies beside it";
+    return reason;
+}
+
 static err_t read_numbers(struct request *rq)
 {
     struct cmd_list list = {0};
@@ -559,6 +578,7 @@ static err_t read_numbers(struct request *rq)
 static void close_files(struct state *st)
 {
     cmd_json_discard(&st->json);
+    resume_close(&st->resume);
     outdir_close(&st->out);
     imageset_free(&st->train);
     imageset_free(&st->test);
@@ -586,6 +606,7 @@ int cmd_eval_run(int argc, char **argv)
          &rq.model.precision, NULL},
         {"json", "FILE", "figures as JSON, - for stdout", NULL, &rq.json, NULL},
         {"out", "DIR", "keep the rendered test views there", NULL, &rq.out, NULL},
+        CMD_RESUME(rq.resume),
         CMD_FORCE(rq.rules),
         CMD_STRICT(rq.strict),
         CMD_REFINE,
@@ -604,14 +625,8 @@ int cmd_eval_run(int argc, char **argv)
     int code;
     if (!cmd_parse(&usage, argc, argv, &rq.cfg, &code))
         return code;
-    const char *reason;
-    bool network = cmd_has_network(&rq.model, &reason);
-    if (!rq.set.images)
-        return cmd_misuse(&usage, "--data is needed");
-    if (network && rq.scene)
-        return cmd_misuse(&usage, "--scene is finished, --model makes one");
-    if (reason)
-        return cmd_misuse(&usage, reason);
+    if (misuse_reason(&rq))
+        return cmd_misuse(&usage, misuse_reason(&rq));
     if (read_numbers(&rq) != OK)
         return cmd_misuse(&usage, err_text());
     const char *const inputs[] = {rq.set.images, rq.scene, rq.set.rig, rq.model.path};

@@ -2,7 +2,6 @@
 #include "firmware/cmd/cmd.h"
 #include "firmware/recon/dump.h"
 #include "firmware/result/publish.h"
-#include "firmware/result/resume.h"
 
 #include "core/base/log.h"
 #include "core/base/num.h"
@@ -209,22 +208,6 @@ static err_t prepare_job(struct request *rq, struct state *st, struct job_config
     return e ? e : reserve_memory(rq, st, job, &need);
 }
 
-/* How many steps fit into a time is no property of the job: it has no checkpoints. */
-static err_t begin_checkpoints(const struct request *rq, struct state *st, struct job_config *job)
-{
-    if (job->refine.steps == 0 || rq->cfg.job_checkpoint_s == 0 || job->budget_s > 0) {
-        if (rq->resume)
-            log_info("%s: a job %s has no checkpoint: it starts from the beginning", rq->out,
-                     job->budget_s > 0        ? "with a time budget"
-                     : job->refine.steps == 0 ? "without refinement"
-                                              : "with job.checkpoint_s = 0");
-        return OK;
-    }
-    err_t e = resume_open(&st->out, rq->cfg.job_checkpoint_s, rq->resume, &st->resume);
-    job->refine.saver = &st->resume.saver;
-    return e;
-}
-
 /* All places for results, before the work. */
 static err_t open_results(struct request *rq, struct state *st, struct job_config *job)
 {
@@ -237,7 +220,7 @@ static err_t open_results(struct request *rq, struct state *st, struct job_confi
     if (!e)
         e = publish_check(&st->set.capture, job, &st->out);
     if (!e)
-        e = begin_checkpoints(rq, st, job);
+        e = cmd_checkpoints(&st->out, &rq->cfg, rq->resume, &st->resume, job);
     if (!e)
         e = cmd_json_open(rq->json, &st->json);
     return e ? e : begin_dump(rq, st);
@@ -309,8 +292,7 @@ int cmd_reconstruct_run(int argc, char **argv)
         {"dump-exposures", "LIST", "three, of the picture there; else those of the inputs", NULL,
          &rq.dump_exposures, NULL},
         {"json", "FILE", "the report once more, - for stdout", NULL, &rq.json, NULL},
-        {"resume", NULL, "go on where a former run for the same result was interrupted", NULL, NULL,
-         &rq.resume},
+        CMD_RESUME(rq.resume),
         CMD_FORCE(rq.rules),
         CMD_STRICT(rq.strict),
         {"refine-poses", NULL, "refine the cameras of the input views too", NULL, NULL, &rq.poses},

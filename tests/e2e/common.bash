@@ -33,14 +33,19 @@ succeed() { # arguments...
     "$HDRIG" "$@" >"$OUT/stdout.txt" 2>"$ERR" || fail "hdrig $*: $(tail -n 1 "$ERR")"
 }
 
-# Ctrl-C once a line of $ERR begins like that; the exit code is the process's.
-interrupt_at() { # process start
+# The tool, and Ctrl-C once a line of $ERR begins like that; the exit code is the tool's.
+interrupt_at() { # start arguments...
+    local start=$1 pid k
+    shift
+    : >"$ERR" # the former progress must not be taken for the new one
+    "$HDRIG" "$@" >"$OUT/stdout.txt" 2>"$ERR" &
+    pid=$!
     for ((k = 0; k < 600; k++)); do
-        grep -q "^$2" "$ERR" && break
+        grep -q "^$start" "$ERR" && break
         sleep 0.05
     done
-    kill -INT "$1"
-    wait "$1"
+    kill -INT $pid
+    wait $pid
 }
 
 nothing_at() { # folder: neither a result nor leftovers of one

@@ -108,10 +108,8 @@ for threads in 1 2 7; do
 done
 
 # a signal inside the network
-: >"$ERR" # the former progress must not be taken for the new one
-"$HDRIG" reconstruct "${images[@]}" --model "$OUT/hdr.hdrig" --size 448 --refine 0 \
-    --dump "$OUT/dump" --out "$OUT/result" >"$OUT/stdout.txt" 2>"$ERR" &
-interrupt_at $! backbone
+interrupt_at backbone reconstruct "${images[@]}" --model "$OUT/hdr.hdrig" --size 448 --refine 0 \
+    --dump "$OUT/dump" --out "$OUT/result"
 code=$?
 [ $code -eq 130 ] || fail "SIGINT inside the network: exit $code"
 nothing_at "$OUT/result"
