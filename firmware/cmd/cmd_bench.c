@@ -4,6 +4,8 @@
  *        instruction set, on one thread and on all; then every number of splats at every size of
  *        the picture with the best. Splats keep their size in pixels, so that one axis of that
  *        table shows the cost of a splat and the other that of a pixel.
+ *        Where a launcher started several ranks, each draws the largest scene with the best at
+ *        the same time, and the first prints how fast each is: a slow one holds all up.
  * network, kernels: see bench_net.h. trade: see tradeoff.h. capture: see bench_capture.h. */
 #include "core/base/splitmix.h"
 #include "firmware/base/engine.h"
@@ -37,6 +39,7 @@ struct request {
     const char *what, *json, *gaussians_text, *degree_text, *size_text, *model, *views_text;
     const char *images, *cameras_text;
     bool splat, network, kernels, trade, capture;
+    bool together; // on several ranks
     int cameras;
     struct cmd_list gaussians, sizes, views;
     int degree;
@@ -51,7 +54,14 @@ struct figure {
     struct limits_share share; // flop/s, in forward and backward together
 };
 
+struct rank_figure {
+    double bandwidth; // bytes/s
+    struct figure splat;
+};
+
 struct state {
+    struct teamwork team;
+    struct rank_figure ranks[TEAM_MAX];
     struct engine engine;
     struct gaussians g;
     struct camera cam;
@@ -346,26 +356,55 @@ static err_t reserve_memory(const struct request *rq, struct state *st)
     return OK;
 }
 
+/* Memory for all, and the largest scene in it. work: for limits_bandwidth. */
+static err_t make_largest(const struct request *rq, struct state *st, float **work)
+{
+    err_t e = reserve_memory(rq, st);
+    if (!e)
+        e = layout_triad(&st->engine.keep, work);
+    if (!e)
+        make_scene(st, largest_of(&rq->gaussians), largest_of(&rq->sizes));
+    return e;
+}
+
 static err_t bench_splat(const struct request *rq, struct state *st)
 {
     struct pool *one = NULL;
     float *work;
     err_t e = engine_open(&st->engine, rq->cfg.threads);
     if (!e)
-        e = reserve_memory(rq, st);
+        e = make_largest(rq, st, &work);
     if (!e)
         e = pool_open(&one, 1);
-    if (!e)
-        e = layout_triad(&st->engine.keep, &work);
     if (!e) {
         st->bandwidth[0] = limits_bandwidth(one, work);
         st->bandwidth[1] = limits_bandwidth(st->engine.pool, work);
-        make_scene(st, largest_of(&rq->gaussians), largest_of(&rq->sizes));
         e = measure_levels(st, one);
     }
     if (!e)
         e = measure_table(rq, st);
     pool_close(one);
+    return e;
+}
+
+/* This rank's figures, then those of all. */
+static err_t bench_ranks(const struct request *rq, struct state *st)
+{
+    struct team *team = st->engine.run.team;
+    struct rank_figure *own = &st->ranks[team_rank(team)];
+    float *work;
+    st->engine.run.team = NULL; // each draws alone
+    err_t e = make_largest(rq, st, &work);
+    if (!e)
+        e = team_collect(team, st->ranks, sizeof *st->ranks); // all begin now
+    if (!e) {
+        own->bandwidth = limits_bandwidth(st->engine.pool, work);
+        e = measure_all(st, st->engine.cpu, &own->splat);
+    }
+    if (!e)
+        e = team_collect(team, st->ranks, sizeof *st->ranks);
+    for (int i = 0; i < team_size(team); i++)
+        st->ranks[i].splat.kernels = st->engine.kernels.name; // a pointer does not travel
     return e;
 }
 
@@ -385,6 +424,8 @@ static err_t run_bench(const struct request *rq, struct state *st)
 {
     const int size = rq->size_text ? rq->sizes.v[0] : 0;
     err_t e = OK;
+    if (rq->together)
+        return bench_ranks(rq, st);
     if (rq->network) // first: it may be refused
         e = bench_net_run(rq->model, rq->views.v[0], size, &rq->cfg, &st->net);
     if (!e && rq->splat)
@@ -428,11 +469,29 @@ static void report_figures(struct report *rep, const char *key, const struct fig
     report_close(rep);
 }
 
+static void report_ranks(struct report *rep, const struct state *st)
+{
+    const struct ranks *r = &st->team.ranks;
+    report_open(rep, "ranks", '[');
+    for (int i = 0; i < r->team.size; i++) {
+        report_open(rep, NULL, '{');
+        report_text(rep, "host", r->host[i]);
+        report_int(rep, "share_of_work", r->team.share[i]);
+        report_number(rep, "bandwidth_gb_per_s", st->ranks[i].bandwidth * 1e-9);
+        report_figure(rep, &st->ranks[i].splat);
+        report_close(rep);
+    }
+    report_close(rep);
+}
+
 static void write_report(const struct request *rq, const struct state *st, FILE *f)
 {
     struct report rep;
     report_begin(&rep, f);
-    if (rq->splat) {
+    if (rq->together) {
+        report_int(&rep, "sh_degree", rq->degree);
+        report_ranks(&rep, st);
+    } else if (rq->splat) {
         report_int(&rep, "sh_degree", rq->degree);
         report_number(&rep, "bandwidth_gb_per_s_one_thread", st->bandwidth[0] * 1e-9);
         report_number(&rep, "bandwidth_gb_per_s", st->bandwidth[1] * 1e-9);
@@ -476,11 +535,37 @@ static void print_tables(const struct state *st)
     print_figures(st->table, st->n_table);
 }
 
+/* Who is slow, and whether what it is dealt (teamwork.h) fits. */
+static void print_ranks(const struct state *st)
+{
+    const struct ranks *r = &st->team.ranks;
+    int least = 0, most = 0, all = 0;
+    for (int i = 0; i < r->team.size; i++) {
+        all += r->team.share[i];
+        least = st->ranks[i].splat.step_s < st->ranks[least].splat.step_s ? i : least;
+        most = st->ranks[i].splat.step_s > st->ranks[most].splat.step_s ? i : most;
+    }
+    const double fastest = st->ranks[least].splat.step_s;
+    printf("%4s %-20s %7s %8s %8s %11s %8s %9s %6s %8s\n", "rank", "host", "threads", "splats",
+           "pixels", "memory GB/s", "GFlop/s", "step s", "speed", "its part");
+    for (int i = 0; i < r->team.size; i++) {
+        const struct figure *f = &st->ranks[i].splat;
+        printf("%4d %-20s %7d %8d %8d %11.1f %8.1f %9.4f %6.2f %6.1f %%\n", i, r->host[i],
+               f->threads, f->gaussians, f->pixels, st->ranks[i].bandwidth * 1e-9,
+               f->share.limit * 1e-9, f->step_s, fastest / f->step_s,
+               100.0 * r->team.share[i] / all);
+    }
+    printf("a step takes %.4f s on rank %d (%s) to %.4f s on rank %d (%s)\n", fastest, least,
+           r->host[least], st->ranks[most].splat.step_s, most, r->host[most]);
+}
+
 static err_t write_results(const struct request *rq, const struct state *st, struct cmd_json *json)
 {
     if (json->f)
         write_report(rq, st, json->f);
-    if (json->f != stdout && rq->splat)
+    if (json->f != stdout && rq->together)
+        print_ranks(st);
+    else if (json->f != stdout && rq->splat)
         print_tables(st);
     if (json->f != stdout)
         bench_net_print(&st->net);
@@ -491,12 +576,13 @@ static err_t write_results(const struct request *rq, const struct state *st, str
 
 static err_t read_what(struct request *rq)
 {
-    bool all = strcmp(rq->what, "all") == 0;
+    rq->together = ranks_launched() > 1;
+    const bool all = strcmp(rq->what, "all") == 0, rest = all && !rq->together;
     rq->splat = all || strcmp(rq->what, "splat") == 0;
-    rq->kernels = all || strcmp(rq->what, "kernels") == 0;
-    rq->network = (all && rq->model) || strcmp(rq->what, "network") == 0;
+    rq->kernels = rest || strcmp(rq->what, "kernels") == 0;
+    rq->network = (rest && rq->model) || strcmp(rq->what, "network") == 0;
     rq->trade = strcmp(rq->what, "trade") == 0;
-    rq->capture = all || strcmp(rq->what, "capture") == 0;
+    rq->capture = rest || strcmp(rq->what, "capture") == 0;
     if (!rq->splat && !rq->kernels && !rq->network && !rq->trade && !rq->capture)
         return err_fail(ERR_ARG,
                         "--what: \"%.64s\" is none of splat, network, kernels, capture, trade, all",
@@ -505,6 +591,9 @@ static err_t read_what(struct request *rq)
         return err_fail(ERR_ARG, "--what %s needs --model FILE", rq->what);
     if (rq->images && !rq->trade)
         return err_fail(ERR_ARG, "--images is for --what trade");
+    if (rq->together && (!rq->splat || rq->model))
+        return err_fail(ERR_ARG, "several ranks measure splats only: start %s%s without a launcher",
+                        rq->model ? "--model" : "--what ", rq->model ? "" : rq->what);
     return OK;
 }
 
@@ -530,7 +619,7 @@ static err_t read_numbers(struct request *rq)
 int cmd_bench_run(int argc, char **argv)
 {
     static struct state st;
-    struct cmd_json json;
+    struct cmd_json json = {0};
     struct request rq = {
         .what = "all", .gaussians_text = "25000,50000,100000,200000", .views_text = "4"};
     const struct cmd_option options[] = {
@@ -553,20 +642,27 @@ int cmd_bench_run(int argc, char **argv)
     };
     const struct cmd_usage usage = {
         "bench", "",
-        "Figures of this machine against its limits; trade: of files of weights against the first.",
+        "Figures of this machine against its limits; trade: of weights files against the first.\n"
+        "Under mpirun: how fast the machine of each rank draws, and what part of a job it gets.",
         options, sizeof options / sizeof options[0]};
     int code;
     if (!cmd_parse(&usage, argc, argv, &rq.cfg, &code))
         return code;
     if (read_numbers(&rq) != OK)
         return cmd_misuse(&usage, err_text());
-    err_t e = cmd_json_open(rq.json, &json);
+    err_t e = OK;
+    if (rq.together)
+        e = teamwork_open(&st.team, usage.name, rq.cfg.threads, &st.engine);
+    const bool speaks = teamwork_speaks(&st.team);
+    if (!e)
+        e = cmd_json_open(speaks ? rq.json : NULL, &json);
     if (!e)
         e = run_bench(&rq, &st);
-    if (!e)
+    if (!e && speaks)
         e = write_results(&rq, &st, &json);
     cmd_json_discard(&json);
-    code = cmd_finish(usage.name, e);
+    code = speaks ? cmd_finish(usage.name, e) : CMD_OK;
+    teamwork_close(&st.team, e, speaks ? code : CMD_FAILURE);
     engine_close(&st.engine);
     return code;
 }

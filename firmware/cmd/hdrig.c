@@ -37,7 +37,7 @@ enum { N_COMMANDS = sizeof commands / sizeof commands[0] };
 
 static bool works_with_others(int (*run)(int argc, char **argv))
 {
-    return run == cmd_reconstruct_run || run == cmd_eval_run;
+    return run == cmd_reconstruct_run || run == cmd_eval_run || run == cmd_bench_run;
 }
 
 static void print_help(FILE *f)

@@ -55,6 +55,13 @@ start mpirun.openmpi -n 2 "$hdrig" eval --data set --rig none --model none --siz
     --json eval.json || fail "eval: $(tail -n 3 "$ERR")"
 [ "$(grep -c '^LDR' stdout.txt)" = 1 ] || fail "eval: not one table"
 
+start mpirun.openmpi -n 3 "$hdrig" bench --gaussians 2000 --size 64 --threads 1 \
+    --json bench.json || fail "bench: $(tail -n 3 "$ERR")"
+awk -v host="$(uname -n)" 'NR > 1 && $2 == host && $8 > 0 && $9 <= 1 { all += $10; n++ }
+    END { exit !(n == 3 && NR == 5 && all > 99.7 && all < 100.3) }' stdout.txt ||
+    fail "bench: not a table of three ranks: $(cat stdout.txt)"
+[ "$(grep -c '"host": ' bench.json)" = 3 ] || fail "bench: not three ranks in JSON"
+
 # one rank a machine, as the README starts them
 echo localhost >hosts
 start mpirun.openmpi --hostfile hosts --map-by ppr:1:node --bind-to none "$hdrig" $stereo \
@@ -76,6 +83,12 @@ refused 'does not run on several ranks' $open_mpi -n 2 "$hdrig" render --scene s
 refused 'nowhere' $open_mpi -n 2 "$hdrig" reconstruct --images nowhere --out bad
 [ "$(grep -c '^hdrig reconstruct: ' "$ERR")" = 1 ] ||
     fail "more than one rank tells of a failure of all"
+refused 'several ranks measure splats only: start --what kernels without a launcher' \
+    $open_mpi -n 2 "$hdrig" bench --what kernels
+refused 'start --model without' $open_mpi -n 2 "$hdrig" bench --model $model
+job="bench --gaussians 2000 --size 64 --json bad"
+refused 'rank 1 of 2 \(.*\): .*max-memory' \
+    $open_mpi -n 1 "$hdrig" $job : -n 1 "$hdrig" $job --max-memory 64
 job="$stereo --out bad"
 refused 'rank 1 \(.*\) has the instructions c, rank 0 .*HDRIG_CPU_MASK' \
     $open_mpi -n 1 "$hdrig" $job : -n 1 -x HDRIG_CPU_MASK=c "$hdrig" $job
