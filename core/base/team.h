@@ -34,7 +34,8 @@ struct team_ops {
 
 struct team {
     int rank, size;      // size 2..TEAM_MAX
-    int share[TEAM_MAX]; // speed of each rank, 1..TEAM_SHARE_MAX; the same on all ranks
+    int share[TEAM_MAX]; // speed of each rank, 1..TEAM_SHARE_MAX; the same on all ranks. Refinement
+                         // that goes on from a state takes those of the state
     const struct team_ops *ops;
     void *ctx;
     uint64_t sent, received; // bytes, of this rank

@@ -22,7 +22,6 @@ static void add_int(struct sha256 *s, int v)
 static void hash_options(const struct refine *f, struct refine_input *out)
 {
     const struct refine_config *c = f->cfg;
-    const struct team *t = f->r->team;
     struct sha256 s;
     sha256_init(&s);
     add_int(&s, c->steps);
@@ -32,9 +31,7 @@ static void hash_options(const struct refine *f, struct refine_input *out)
     add_int(&s, c->poses);
     add_int(&s, c->tone_known);
     add_int(&s, c->levels);
-    add_int(&s, team_size(t));
-    for (int i = 0; t && i < t->size; i++)
-        add_int(&s, t->share[i]);
+    add_int(&s, team_size(f->r->team));
     sha256_add(&s, f->r->k->name, strlen(f->r->k->name));
     sha256_hex(&s, out->options);
 }
@@ -152,6 +149,14 @@ static void pass_input(struct passage *p)
         p->e = err_fail(ERR_ARG, "the checkpoint is of a job that began with other cameras, "
                                  "Gaussians or tone curves, by other options or calibrations: "
                                  "start without --resume");
+}
+
+/* Sums depend on how the work was dealt, by speeds that are measured again in every run. */
+static void pass_shares(struct passage *p)
+{
+    struct team *t = p->f->r->team;
+    for (int i = 0; t && i < t->size; i++)
+        pass_int(p, &t->share[i], 1, TEAM_SHARE_MAX);
 }
 
 static void pass_counters(struct passage *p)
@@ -275,6 +280,7 @@ static void pass_scene(struct passage *p)
 static void pass_all(struct passage *p)
 {
     pass_input(p);
+    pass_shares(p);
     pass_counters(p);
     pass_report(p);
     pass_views(p);
