@@ -15,17 +15,20 @@ enum {
     HALO = RASTER_HALO / TILE,
     PIECES = 8,       // that travel one after another
     TILE_COST = 128,  // splats on a tile that take as long as its pixels: loss and tone curve
+    SPLATS_COST = 2,  // splats that all ranks project and move while one is drawn on a tile
     SENT = GRAD2D - 1 // the sum by depth is not sent: no loss of a team has depth
 };
 
 /* ---- bands ---- */
 
-/* cost: (tiles_y + 1) of the rows before each row. */
-static void add_costs(const struct raster *rs, int n, uint64_t *cost)
+/* cost: (tiles_y + 1) of the rows before each row. returns: splats that are seen. */
+static int add_costs(const struct raster *rs, int n, uint64_t *cost)
 {
     int64_t step[ROWS_MAX + 1] = {0}, here = 0;
+    int seen = 0;
     for (int i = 0; i < n; i++) {
         const struct raster_span *s = &rs->spans[i];
+        seen += s->wide > 0;
         step[s->y0] += s->wide;
         step[s->y1] -= s->wide;
     }
@@ -34,22 +37,43 @@ static void add_costs(const struct raster *rs, int n, uint64_t *cost)
         here += step[y];
         cost[y + 1] = cost[y] + (uint64_t)(here + (int64_t)TILE_COST * rs->tiles_x);
     }
+    return seen;
+}
+
+/* Parts of `all` with which the ranks end at the same time. own: what each does beside its part; a
+ * rank that is too slow even for that gets none. */
+static void part_costs(const struct team *t, double all, double own, double part[TEAM_MAX])
+{
+    bool idle[TEAM_MAX] = {false};
+    for (bool again = true; again;) {
+        double sum = all, speed = 0;
+        again = false;
+        for (int k = 0; k < t->size; k++) {
+            sum += idle[k] ? 0 : own;
+            speed += idle[k] ? 0 : t->share[k];
+        }
+        for (int k = 0; k < t->size; k++) {
+            part[k] = idle[k] ? 0 : sum * t->share[k] / speed - own;
+            again = again || part[k] < 0;
+            idle[k] = idle[k] || part[k] < 0;
+        }
+    }
 }
 
 void raster_team_deal(struct raster *rs, int n)
 {
     const struct team *t = rs->team;
-    uint64_t cost[ROWS_MAX + 1], all = 0, before = 0;
-    for (int k = 0; k < t->size; k++)
-        all += (uint64_t)t->share[k];
-    add_costs(rs, n, cost);
+    uint64_t cost[ROWS_MAX + 1];
+    double part[TEAM_MAX], before = 0;
+    const int seen = add_costs(rs, n, cost);
+    const double all = (double)cost[rs->tiles_y];
+    part_costs(t, all, seen / SPLATS_COST + HALO * all / rs->tiles_y, part);
     int y = 0;
     for (int k = 0; k < t->size; k++) {
-        const uint64_t want = cost[rs->tiles_y] * before / all;
-        while (y < rs->tiles_y && (cost[y] + cost[y + 1]) / 2 < want)
+        while (y < rs->tiles_y && (double)(cost[y] + cost[y + 1]) / 2 < before)
             y++;
         rs->band[k] = y;
-        before += (uint64_t)t->share[k];
+        before += part[k];
     }
     rs->band[t->size] = rs->tiles_y;
     const int from = rs->band[t->rank], end = rs->band[t->rank + 1];
