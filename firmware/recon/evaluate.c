@@ -359,13 +359,16 @@ static err_t measure_hdr(struct bench *b, const struct shot *s, const struct vie
     if (!e)
         resize_image(&file, &b->other);
     exrfile_free(&file);
-    hide_unseen(b, &b->other); // radiance is 0 there
+    hide_unseen(b, &b->other);
     if (!e)
         e = measure_stops(b, &radiance);
     if (!e)
         e = mu_law(&b->other, &b->other);
-    if (!e)
-        e = mu_law(&radiance, &b->mu);
+    if (!e) {
+        memcpy(b->mu.px, radiance.px, 3 * (size_t)radiance.w * (size_t)radiance.h * sizeof(float));
+        hide_unseen(b, &b->mu); // in both, or their brightest would be of other pixels
+        e = mu_law(&b->mu, &b->mu);
+    }
     struct evaluate_score one;
     if (!e)
         e = compare_picture(b, &b->mu, &b->other, &one);
