@@ -49,7 +49,7 @@ struct bench {
     float *room;                       // (4, h, w)
     const uint8_t *seen;               // (h, w) pixels that count; NULL: all
     uint8_t *shown[2];                 // (h, w) what *drawn and the nearest view show of a lens
-    uint8_t *counts;                   // (h, w) what *drawn shows and no mask hides
+    uint8_t *counts; // (h, w) of a masked photograph: what *drawn shows and no mask hides
     size_t clipped;
     struct evaluate_result *out;
 };
@@ -159,7 +159,7 @@ static err_t lens_nearest(struct bench *b, const struct view *v, int near)
     err_t e = distort_run(b->r->pool, &j);
     memcpy(b->other.px, b->room, 3 * n * sizeof *b->room);
     for (size_t i = 0; i < n; i++)
-        b->shown[1][i] &= b->counts[i];
+        b->shown[1][i] &= b->seen[i];
     b->seen = b->shown[1];
     return e;
 }
@@ -411,13 +411,16 @@ static bool choose_pixels(struct bench *b, const struct view *v)
 {
     const int w = v->px.w, h = v->px.h, rim = METRICS_SSIM_TAPS / 2;
     bool any = false;
+    b->seen = v->lensed ? b->shown[0] : NULL;
+    if (!v->masked)
+        return true;
     for (int i = 0; i < w * h; i++) {
         const int x = i % w, y = i / w;
-        b->counts[i] = (!v->lensed || b->shown[0][i]) && !(v->masked && v->masked[i]);
+        b->counts[i] = (!b->seen || b->seen[i]) && !v->masked[i];
         any = any || (b->counts[i] && x >= rim && y >= rim && x < w - rim && y < h - rim);
     }
-    b->seen = v->lensed || v->masked ? b->counts : NULL;
-    return any || !v->masked;
+    b->seen = b->counts;
+    return any;
 }
 
 /* The radiance of a place, measured where its first photograph counts. */
