@@ -64,7 +64,7 @@ WARN := -Wall -Wextra -Wshadow -Wstrict-prototypes -Wmissing-prototypes -Wvla -W
 	$(if $(WERROR),-Werror)
 # With -O1 sanitized code compiles in half the time, and runs as fast.
 SANFLAGS := $(if $(SAN),-fsanitize=$(SAN) -fno-sanitize-recover=all -fno-omit-frame-pointer \
-	-O1 -g1 -Wno-format-truncation)
+	-O1 -g1 -Wno-format-truncation -DSANITIZED)
 FLAGS = -std=c11 -D_GNU_SOURCE -I. -g -pthread $(if $(PIC),-fPIC) -MMD -MP $(OPT) $(WARN) \
 	$(ROOTED) $(MORE) $(SANFLAGS) $(CFLAGS)
 # The module alone is C++; libcamera's headers want C++20 from 0.7.1 on.

@@ -218,9 +218,9 @@ long)
     commands is_slow
     dir=$(make -s print-B WERROR=1)
     unit=$dir/tests/unit/firmware/capture
-    later "400 takes: session_random_test" env TAKES=400 "$unit/session_random_test"
+    later "200 takes: session_random_test" env TAKES=200 "$unit/session_random_test"
     later "10140 brackets: bracket_random_test" env TAKES=10140 "$unit/bracket_random_test"
-    export CALLS=2000
+    export CALLS=1000
     scripts "$dir" tests/e2e/bystanders.sh
     sanitized asan inner address,undefined
     sanitized tsan tsan thread

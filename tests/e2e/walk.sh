@@ -4,7 +4,7 @@
 . tests/e2e/common.bash
 
 walk=(simulate --kind park --walk --samples 1 --lens size=256x192 --exposures 1)
-locate=(reconstruct --rig none --refine 0 --size 256)
+locate=(reconstruct --rig none --model none --refine 0 --size 256)
 
 # bad requests
 expect 2 '--walk: only in --kind park' simulate --kind yard --walk --out "$OUT/no"

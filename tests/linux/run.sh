@@ -14,12 +14,12 @@ shift
 limit=${LIMIT:-1200} # seconds of the machine, for one that hangs
 guest=$root/tests/linux/guest
 [ $# -gt 0 ] || set -- $(cd "$guest" && ls ./*.sh | sed 's/^\.\/\(.*\)\.sh$/\1/' | grep -vx init)
-passed=0 failed=0 TIMEFORMAT=%U
+jobs=${JOBS:-$(nproc)} TIMEFORMAT=%U
 mkdir -p build/log build/kernel
 
 # The guest's memory is a file; on a disk it would be written back all the time.
 memory=$root/build/kernel
-[ "$(df -Pm /dev/shm 2>/dev/null | awk 'NR == 2 { print $4 }')" -gt 600 ] 2>/dev/null &&
+[ "$(df -Pm /dev/shm 2>/dev/null | awk 'NR == 2 { print $4 }')" -gt $((600 * jobs)) ] 2>/dev/null &&
     memory=/dev/shm
 
 boot_uml() { # script parameters-of-the-kernel
@@ -70,19 +70,35 @@ elif ! try uml; then
 fi
 echo "kernels under $bench: ${made##*/}"
 
-for test in "$@"; do
-    log=build/log/kernel_$test.log start=$SECONDS
-    printf '%-52s' "kernel: $test"
-    cpu=$({ time boot "$bench" "$guest/$test.sh" >"$log"; } 2>&1)
+run_test() { # name; 1 when it fails
+    local log=build/log/kernel_$1.log start=$SECONDS cpu
+    cpu=$({ time boot "$bench" "$guest/$1.sh" >"$log"; } 2>&1)
     if grep -qx 'TEST_EXIT 0' "$log"; then
-        passed=$((passed + 1))
-        printf 'ok %5d s %5.0f s\n' $((SECONDS - start)) "$cpu"
+        printf '%-52sok %5d s %5.0f s\n' "kernel: $1" $((SECONDS - start)) "$cpu"
         sed -n 's/^skipped: /    &/p' "$log"
     else
-        failed=$((failed + 1))
-        printf 'FAILED\n'
+        printf '%-52sFAILED\n' "kernel: $1"
         tail -n 60 "$log" | sed 's/^/    /'
+        return 1
     fi
+}
+
+# As many at a time as there are processors; one of real time runs alone.
+failed=0 running=0
+end_down_to() { # tests that still run
+    while [ $running -gt "$1" ]; do
+        wait -n || failed=$((failed + 1))
+        running=$((running - 1))
+    done
+}
+for test in "$@"; do
+    alone=0
+    grep -q '^# Real time' "$guest/$test.sh" && alone=1
+    end_down_to $((alone ? 0 : jobs - 1))
+    run_test "$test" &
+    running=$((running + 1))
+    [ $alone = 0 ] || end_down_to 0
 done
-echo "$passed passed, $failed failed"
+end_down_to 0
+echo "$(($# - failed)) passed, $failed failed"
 [ "$failed" -eq 0 ]

@@ -1,6 +1,7 @@
 /* Takes that begin at a given time, by simulated cameras of any phase, clock and delay: when the
  * first frame of the plan really began, by the simulator. */
 #include "tests/unit/firmware/capture/session_rig.h"
+#include "tests/unit/some_of.h"
 
 #include "firmware/capture/session_inner.h"
 
@@ -112,7 +113,7 @@ static double start_error(const struct take *t, const struct session_order *o)
 static double worst_of(int rigs, int takes, double lead, const char *options)
 {
     double worst = 0, sum = 0;
-    for (int k = 0; k < rigs; k++) {
+    for (int k = 0; k < rigs; k += some_of(7)) {
         char text[256];
         snprintf(text, sizeof text, "delay=%d,stamp=%s,grid=%s,metadata=%s,%s", k % 3 + 1,
                  k % 2 ? "end" : "start", k / 2 % 2 ? "end" : "start",
@@ -144,7 +145,7 @@ static void follows_at_once(void **state)
 {
     double worst = 0, lead = 0;
     (void)state;
-    for (int k = 0; k < 36; k++) {
+    for (int k = 0; k < 36; k += some_of(7)) {
         char text[256];
         snprintf(text, sizeof text, "shift=no,delay=%d,stamp=%s,grid=%s,metadata=%s", k % 3 + 1,
                  k % 2 ? "end" : "start", k / 2 % 2 ? "end" : "start",
