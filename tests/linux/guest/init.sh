@@ -12,6 +12,7 @@ mount -t configfs config /sys/kernel/config
 mkdir -p "$TMPDIR" /dev/shm
 ln -s /proc/self/fd /dev/fd
 cd /run/tmp || exit
+echo TEST_BEGIN
 bash "$TEST" </dev/null
 echo "TEST_EXIT $?"
 exec "$BIN/poweroff"
