@@ -5,7 +5,7 @@
 #   check  before a commit: that, lints, faults, nearly all commands; drivers, store, daemon and
 #          fuzz corpora under ASan and UBSan; warnings of clang; 10 minutes from a fresh clone
 #   long   what check leaves out: the rest under ASan and UBSan, threads under TSan, emulated Arm,
-#          slow commands; thousands of random takes, brackets and calls; the package for arm64
+#          slow commands; more random takes, brackets and calls; the package for arm64
 # Tests run JOBS at a time (all cores), for LIMIT seconds at most. One line per test; its output is
 # build/log/NAME.log and is shown at the end when it fails, before the slowest ten.
 # A script in tests/e2e runs from the root with HDRIG (the tool), BIN (the folder of the programs

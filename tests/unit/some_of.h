@@ -9,7 +9,8 @@ static inline int some_of(int n)
 #ifdef SANITIZED
     return n;
 #else
-    return n > 0;
+    (void)n;
+    return 1;
 #endif
 }
 
