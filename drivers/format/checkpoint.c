@@ -1,10 +1,10 @@
 #include "drivers/format/checkpoint.h"
 
-#include "core/base/bytes.h"
 #include "core/base/half.h"
+#include "drivers/format/checkpoint_old.h"
+#include "drivers/format/checkpoint_pickle.h"
 #include "drivers/format/json.h"
 #include "drivers/format/name.h"
-#include "drivers/format/pickle.h"
 #include "drivers/format/safetensors.h"
 
 #include <errno.h>
@@ -14,13 +14,7 @@
 #include <string.h>
 #include <sys/stat.h>
 
-enum { PICKLE_BYTES_MAX = 32 << 20, SPREAD_MAX = 512 << 20, FOLDER_CAP = 256, STATE_DEPTH = 4 };
-
-/* Bytes of an element of a type that can be read. */
-static size_t type_bytes(enum checkpoint_type type)
-{
-    return type == CHECKPOINT_F32 ? 4 : 2;
-}
+enum { SPREAD_MAX = 512 << 20, FOLDER_CAP = 256 };
 
 size_t checkpoint_count(const struct checkpoint_tensor *t)
 {
@@ -53,53 +47,6 @@ const struct checkpoint_tensor *checkpoint_find(const struct checkpoint *c, cons
     return bsearch(&key, c->tensors, (size_t)c->n, sizeof key, by_name);
 }
 
-/* Parts of names from data parallelism, torch.compile, activation checkpoints and sharding. */
-static const char *const wrappers[] = {"module.", "_orig_mod.", "_checkpoint_wrapped_module.",
-                                       "_fsdp_wrapped_module."};
-
-enum { N_WRAPPERS = sizeof wrappers / sizeof *wrappers };
-
-static size_t prefix_bytes(const char *s, size_t n, const char *with)
-{
-    size_t m = strlen(with);
-    return n >= m && memcmp(s, with, m) == 0 ? m : 0;
-}
-
-/* Bytes of a wrapper at the start of a part of a name, or of "model." at that of the name. */
-static size_t wrapper_at(const char *text, size_t n, bool first)
-{
-    size_t found = first ? prefix_bytes(text, n, "model.") : 0;
-    for (int i = 0; i < N_WRAPPERS && !found; i++)
-        found = prefix_bytes(text, n, wrappers[i]);
-    return found;
-}
-
-/* The name as the network's table has it; n bytes of text. */
-static err_t take_name(const char *what, const char *text, size_t n, char out[CHECKPOINT_NAME_CAP])
-{
-    size_t to = 0;
-    if (n > CHECKPOINT_NAME_CAP - 9)
-        return err_fail(ERR_FORMAT, "%s: tensor %.*s...: name of %zu bytes, at most %d are read",
-                        what, 64, text, n, CHECKPOINT_NAME_CAP - 9);
-    for (size_t i = 0; i < n; i++)
-        if ((unsigned char)text[i] < 0x20)
-            return err_fail(ERR_FORMAT, "%s: a tensor name holds the character 0x%02x", what,
-                            (unsigned)(unsigned char)text[i]);
-    for (size_t i = 0, part; i < n; i += part) {
-        part = wrapper_at(text + i, n - i, to == 0);
-        if (part)
-            continue;
-        if (to == 0 && !prefix_bytes(text + i, n - i, "encoder."))
-            to = (size_t)snprintf(out, CHECKPOINT_NAME_CAP, "encoder.");
-        const char *dot = memchr(text + i, '.', n - i);
-        part = dot ? (size_t)(dot - text) + 1 - i : n - i;
-        memcpy(out + to, text + i, part);
-        to += part;
-    }
-    out[to] = 0;
-    return OK;
-}
-
 static err_t sort_names(struct checkpoint *c)
 {
     if (c->n > 0)
@@ -111,49 +58,13 @@ static err_t sort_names(struct checkpoint *c)
     return OK;
 }
 
-/* Make room for n more tensors. */
-static err_t make_room(struct checkpoint *c, int n)
-{
-    const size_t all = (size_t)c->n + (size_t)n;
-    void *p = realloc(c->tensors, (all + 1) * sizeof *c->tensors);
-    if (!p)
-        return err_fail(ERR_NOMEM, "%s: no memory for %zu tensors", current_part(c)->path, all);
-    c->tensors = p;
-    return OK;
-}
-
-/* The next free tensor, for the file that is being opened; the caller counts it when it is whole.
- * */
-static struct checkpoint_tensor *next_tensor(struct checkpoint *c)
-{
-    c->tensors[c->n] = (struct checkpoint_tensor){.part = c->n_parts - 1};
-    return &c->tensors[c->n];
-}
-
-/* Elements from the tensor's first to behind its last; false if that overflows. */
-static bool spread_of(const struct checkpoint_tensor *t, size_t *out)
-{
-    size_t count = 1, step;
-    bool good = true;
-    *out = 1;
-    for (int k = 0; k < t->rank; k++) {
-        good &= bytes_mul(count, t->shape[k], &count);
-        if (t->shape[k] == 0) {
-            *out = 0;
-            return true;
-        }
-        good &= bytes_mul(t->shape[k] - 1, t->stride[k], &step) && bytes_add(*out, step, out);
-    }
-    return good && count <= SIZE_MAX / sizeof(float);
-}
-
 /* ---- safetensors ---- */
 
 static err_t add_safetensor(struct checkpoint *c, const struct safetensors *head,
                             const struct safetensors_tensor *s)
 {
     static const char *const types[] = {"F32", "BF16", "F16"};
-    struct checkpoint_tensor *t = next_tensor(c);
+    struct checkpoint_tensor *t = checkpoint_tensors_next(c);
     size_t step = 1;
     t->type = CHECKPOINT_OTHER;
     snprintf(t->kind, sizeof t->kind, "%s", s->type);
@@ -169,7 +80,8 @@ static err_t add_safetensor(struct checkpoint *c, const struct safetensors *head
     t->storage = head->data + s->begin;
     t->room = step;
     c->n++;
-    return take_name(current_part(c)->path, s->name, strlen(s->name), t->name);
+    return checkpoint_tensors_name(c, current_part(c)->path, bytes_of(s->name, strlen(s->name)),
+                                   t->name);
 }
 
 static err_t read_file(const struct checkpoint_part *p, uint64_t at, void *out, size_t n)
@@ -199,7 +111,7 @@ static err_t open_safetensors(struct checkpoint *c, uint64_t bytes)
     if (!e)
         e = safetensors_open(part->path, p, n, bytes, &head);
     if (!e)
-        e = make_room(c, head.n);
+        e = checkpoint_tensors_room(c, head.n);
     for (int i = 0; i < head.n && !e; i++)
         e = add_safetensor(c, &head, &head.tensors[i]);
     safetensors_close(&head);
@@ -256,187 +168,33 @@ static err_t check_order(const struct checkpoint_part *p, const char *folder)
     return e;
 }
 
-struct unpickling {
-    struct checkpoint *c;
+struct archive {
     const struct checkpoint_part *part;
     const char *folder;
-    const struct pickle *p;
 };
 
-static err_t bad_tensor(const struct checkpoint_part *p, const struct checkpoint_tensor *t,
-                        const char *why)
-{
-    return err_fail(ERR_FORMAT, "%s: tensor %s: %s", p->path, t->name, why);
-}
-
-static bool get_count(const struct pickle_value *v, uint64_t *out)
-{
-    if (!v || v->kind != PICKLE_INT || v->number < 0)
-        return false;
-    *out = (uint64_t)v->number;
-    return true;
-}
-
-/* A tuple of at most CHECKPOINT_RANK_MAX counts. */
-static bool get_counts(const struct pickle *p, const struct pickle_value *v, size_t *out, int *n)
-{
-    if (!v || v->kind != PICKLE_TUPLE || v->count > CHECKPOINT_RANK_MAX)
-        return false;
-    *n = v->count;
-    for (int k = 0; k < v->count; k++) {
-        uint64_t number;
-        if (!get_count(pickle_item(p, v, k), &number))
-            return false;
-        out[k] = (size_t)number;
-    }
-    return true;
-}
-
-static void set_other(struct checkpoint_tensor *t, const struct pickle_value *kind)
-{
-    t->type = CHECKPOINT_OTHER;
-    snprintf(t->kind, sizeof t->kind, "%.*s",
-             (int)(kind->n_text < sizeof t->kind ? kind->n_text : sizeof t->kind), kind->text);
-}
-
-static void set_type(struct checkpoint_tensor *t, const struct pickle_value *kind)
-{
-    set_other(t, kind);
-    if (kind->global == PICKLE_FLOAT_STORAGE)
-        t->type = CHECKPOINT_F32;
-    else if (kind->global == PICKLE_BFLOAT16_STORAGE)
-        t->type = CHECKPOINT_BF16;
-    else if (kind->global == PICKLE_HALF_STORAGE)
-        t->type = CHECKPOINT_F16;
-}
-
 /* The member that holds a storage. */
-static err_t get_storage(const struct unpickling *u, const struct pickle_value *v,
-                         struct checkpoint_tensor *t)
+static err_t find_member(const void *ctx, const struct checkpoint_pickle_storage *s,
+                         struct checkpoint_tensor *t, uint64_t *bytes)
 {
-    const struct pickle_value *kind =
-                                  v && v->kind == PICKLE_STORAGE ? pickle_item(u->p, v, 1) : NULL,
-                              *key = kind ? pickle_item(u->p, v, 2) : NULL;
-    char name[FOLDER_CAP + 48];
-    uint64_t bytes;
-    if (!key || key->kind != PICKLE_TEXT || key->n_text > 24 || kind->kind != PICKLE_GLOBAL ||
-        !get_count(pickle_item(u->p, v, 4), &t->room))
-        return bad_tensor(u->part, t, "has no storage");
-    set_type(t, kind);
-    snprintf(name, sizeof name, "%s/data/%.*s", u->folder, (int)key->n_text, key->text);
-    if (!zipfile_find(&u->part->zip, name, &t->storage))
-        return err_fail(ERR_FORMAT, "%s: tensor %s: the archive has no %.96s", u->part->path,
+    const struct archive *a = ctx;
+    char name[FOLDER_CAP + CHECKPOINT_PICKLE_KEY_MAX + 8];
+    snprintf(name, sizeof name, "%s/data/%.*s", a->folder, (int)s->n_key, s->key);
+    if (!zipfile_find(&a->part->zip, name, &t->storage))
+        return err_fail(ERR_FORMAT, "%s: tensor %s: the archive has no %.96s", a->part->path,
                         t->name, name);
-    err_t e = member_bytes(u->part, t->storage, &bytes);
-    if (!e && t->type != CHECKPOINT_OTHER && t->room > bytes / type_bytes(t->type))
-        e = err_fail(ERR_FORMAT, "%s: tensor %s: storage of %ju elements in %ju bytes",
-                     u->part->path, t->name, (uintmax_t)t->room, (uintmax_t)bytes);
-    return e;
-}
-
-/* Marks of a tensor: a dictionary, or nothing in older files. An unknown mark that is set makes the
- * tensor one of another kind. */
-static void get_marks(const struct pickle *p, const struct pickle_value *dict,
-                      struct checkpoint_tensor *t)
-{
-    if (!dict || dict->kind != PICKLE_DICT)
-        return;
-    for (int i = dict->first; i >= 0; i = p->items[p->items[i].next].next) {
-        const struct pickle_value *k = &p->values[p->items[i].value],
-                                  *v = &p->values[p->items[p->items[i].next].value];
-        bool holds = v->kind != PICKLE_INT || v->number != 0;
-        if (k->kind != PICKLE_TEXT || !holds)
-            continue;
-        if (k->n_text == 3 && memcmp(k->text, "neg", 3) == 0)
-            t->negative = true;
-        else if (t->type != CHECKPOINT_OTHER)
-            set_other(t, k);
-    }
-}
-
-static err_t add_tensor(const struct unpickling *u, const struct pickle_value *v,
-                        struct checkpoint_tensor *t)
-{
-    int n_strides;
-    size_t spread;
-    if (v->kind == PICKLE_FOREIGN) {
-        set_other(t, v);
-        return OK;
-    }
-    err_t e = get_storage(u, pickle_item(u->p, v, 0), t);
-    if (e)
-        return e;
-    if (!get_count(pickle_item(u->p, v, 1), &t->offset) ||
-        !get_counts(u->p, pickle_item(u->p, v, 2), t->shape, &t->rank) ||
-        !get_counts(u->p, pickle_item(u->p, v, 3), t->stride, &n_strides) || n_strides != t->rank)
-        return bad_tensor(u->part, t, "has no offset, shape and strides");
-    if (!spread_of(t, &spread) || t->offset > t->room || spread > t->room - t->offset)
-        return bad_tensor(u->part, t, "reaches beyond its storage");
-    get_marks(u->p, pickle_item(u->p, v, 6), t);
-    return OK;
-}
-
-/* The tensors among the members of a dictionary. */
-static err_t add_tensors(const struct unpickling *u, const struct pickle_value *dict)
-{
-    const struct pickle *p = u->p;
-    struct checkpoint *c = u->c;
-    err_t e = make_room(c, dict->count / 2);
-    for (int i = dict->first; i >= 0 && !e; i = p->items[p->items[i].next].next) {
-        const struct pickle_value *k = &p->values[p->items[i].value],
-                                  *v = &p->values[p->items[p->items[i].next].value];
-        if (k->kind != PICKLE_TEXT || (v->kind != PICKLE_TENSOR && v->kind != PICKLE_FOREIGN))
-            continue;
-        struct checkpoint_tensor *t = next_tensor(c);
-        e = take_name(u->part->path, k->text, k->n_text, t->name);
-        if (!e)
-            e = add_tensor(u, v, t);
-        c->n++;
-    }
-    return e;
-}
-
-/* The dictionary that counts; *top is the outermost value. */
-static err_t find_state(const struct unpickling *u, const struct pickle_value **top)
-{
-    static const char *const keys[] = {"state_dict", "model_state_dict", "model", "module"};
-    for (int depth = 0; depth < STATE_DEPTH; depth++) {
-        const struct pickle_value *inner = NULL;
-        const char *key = NULL;
-        for (int k = 0; k < 4 && !inner; k++) {
-            key = keys[k];
-            inner = pickle_get(u->p, *top, key);
-            if (inner && inner->kind != PICKLE_DICT && inner->kind != PICKLE_OPAQUE)
-                inner = NULL;
-        }
-        if (!inner)
-            break;
-        if (inner->kind == PICKLE_OPAQUE)
-            return err_fail(
-                ERR_FORMAT,
-                "%s: \"%s\" holds an object of Python, not a dictionary of tensors; save "
-                "its state_dict() instead",
-                u->part->path, key);
-        *top = inner;
-    }
-    if ((*top)->kind == PICKLE_DICT)
-        return OK;
-    return err_fail(ERR_FORMAT,
-                    "%s: holds no dictionary of tensors; save the model's state_dict() instead",
-                    u->part->path);
+    return member_bytes(a->part, t->storage, bytes);
 }
 
 static err_t add_pickled(struct checkpoint *c, const char *folder, const void *bytes, size_t n)
 {
     struct pickle p;
-    const struct unpickling u = {c, current_part(c), folder, &p};
-    err_t e = pickle_parse(u.part->path, bytes, n, &p);
+    const struct archive a = {current_part(c), folder};
+    const struct checkpoint_pickle job = {c, find_member, &a};
+    err_t e = pickle_parse(a.part->path, bytes, n, &p);
     if (e)
         return e;
-    const struct pickle_value *top = &p.values[p.root];
-    e = find_state(&u, &top);
-    if (!e)
-        e = add_tensors(&u, top);
+    e = checkpoint_pickle_add(&job, &p);
     pickle_free(&p);
     return e;
 }
@@ -456,7 +214,7 @@ static err_t open_zip(struct checkpoint *c)
     if (!e)
         e = member_bytes(part, index, &bytes);
     if (!e)
-        e = zipfile_load(&part->zip, index, PICKLE_BYTES_MAX, &p, &n);
+        e = zipfile_load(&part->zip, index, CHECKPOINT_PICKLE_BYTES_MAX, &p, &n);
     if (!e)
         e = add_pickled(c, folder, p, n);
     free(p);
@@ -465,7 +223,7 @@ static err_t open_zip(struct checkpoint *c)
 
 /* ---- files ---- */
 
-enum content { CONTENT_SAFETENSORS, CONTENT_ZIP, CONTENT_INDEX };
+enum content { CONTENT_SAFETENSORS, CONTENT_ZIP, CONTENT_OLD, CONTENT_INDEX };
 
 /* Open a file and tell its kind from its first bytes. own: fclose(*f). */
 static err_t open_content(const char *path, FILE **f, uint64_t *bytes, enum content *out)
@@ -487,12 +245,9 @@ static err_t open_content(const char *path, FILE **f, uint64_t *bytes, enum cont
         *out = CONTENT_ZIP;
     else if (first[0] == '{' && !memchr(first, 0, n)) // no length: below 4 MB it ends with zeros
         *out = CONTENT_INDEX;
-    if (first[0] != 0x80 || first[1] >= 6)
-        return OK;
-    fclose(*f);
-    *f = NULL;
-    return err_fail(ERR_FORMAT, "%s: a file of PyTorch before 1.6; load it there and save it again",
-                    path);
+    else if (first[0] == 0x80 && first[1] < 6) // the protocol of a pickle
+        *out = CONTENT_OLD;
+    return OK;
 }
 
 /* The tensors of one file, whose path is that of the part behind the last. */
@@ -510,6 +265,8 @@ static err_t open_part(struct checkpoint *c)
         return err_fail(ERR_FORMAT, "%s: neither a PyTorch file nor safetensors", part->path);
     if (content == CONTENT_SAFETENSORS)
         return open_safetensors(c, bytes);
+    if (content == CONTENT_OLD)
+        return checkpoint_old_add(c);
     fclose(f);
     part->file = NULL;
     return open_zip(c);
@@ -569,7 +326,8 @@ static err_t check_map(const struct checkpoint *c, const struct cJSON *map)
 {
     for (const struct cJSON *m = json_first(map); m; m = json_next(m)) {
         char name[CHECKPOINT_NAME_CAP], path[FILE_PATH_CAP];
-        err_t e = take_name(c->what, json_key(m), strlen(json_key(m)), name);
+        err_t e =
+            checkpoint_tensors_name(c, c->what, bytes_of(json_key(m), strlen(json_key(m))), name);
         if (!e)
             e = shard_path(c, m, path);
         if (e)
@@ -616,13 +374,14 @@ static err_t open_one(struct checkpoint *c)
     return e ? e : sort_names(c);
 }
 
-err_t checkpoint_open(const char *path, struct checkpoint *out)
+err_t checkpoint_open(const char *path, const char *owner, struct checkpoint *out)
 {
     enum content content;
     uint64_t bytes;
     FILE *f;
     memset(out, 0, sizeof *out);
     out->what = path;
+    out->owner = owner;
     err_t e = open_content(path, &f, &bytes, &content);
     if (e)
         return e;
@@ -666,7 +425,7 @@ static err_t read_run(const struct checkpoint *c, const struct checkpoint_tensor
                       float *out)
 {
     const struct checkpoint_part *p = &c->parts[t->part];
-    size_t each = type_bytes(t->type);
+    size_t each = checkpoint_tensors_bytes(t->type);
     /* Halves are read into the upper part of out and widened from there, first to last. */
     uint8_t *raw = (uint8_t *)out + n * (sizeof *out - each);
     err_t e = p->zip.zip ? zipfile_read(&p->zip, t->storage, t->offset * each, raw, n * each)
@@ -712,8 +471,10 @@ err_t checkpoint_read(const struct checkpoint *c, const struct checkpoint_tensor
     if (t->type == CHECKPOINT_OTHER)
         return err_fail(ERR_FORMAT, "%s: tensor %s is %s; float32, bfloat16 and float16 are read",
                         p->path, t->name, t->kind);
-    if (!spread_of(t, &spread) || spread == 0)
-        return spread_of(t, &spread) ? OK : bad_tensor(p, t, "is too large");
+    if (!checkpoint_tensors_spread(t, &spread) || spread == 0)
+        return checkpoint_tensors_spread(t, &spread)
+                   ? OK
+                   : err_fail(ERR_FORMAT, "%s: tensor %s is too large", p->path, t->name);
     if (is_contiguous(t))
         return read_run(c, t, spread, out);
     if (spread > SPREAD_MAX / sizeof *out)

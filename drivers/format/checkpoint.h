@@ -1,18 +1,19 @@
 /* checkpoint.h - named tensors of a file of published weights: a zip archive of PyTorch
- * (torch.save, Lightning's .ckpt included), a .safetensors file, or several of one kind with the
- * index of them (*.index.json, key "weight_map": name to file beside it). Only the headers stay in
- * memory; tensors are read one at a time.
+ * (torch.save, Lightning's .ckpt included), PyTorch's older container (checkpoint_old.h), a
+ * .safetensors file, or several of one kind with the index of them (*.index.json, key "weight_map":
+ * name to file beside it). Only the headers stay in memory; tensors are read one at a time.
  *
- * Names lose what wrappers put into them (module., _orig_mod. and their like) and the prefix
- * "model.", and get "encoder." if they have not: files of InstantHDR, AnySplat and VGGT then agree.
+ * Names lose what wrappers put into them (module., _orig_mod. and their like). With an owner they
+ * also lose the prefix "model." and get the owner's if they have not: files of InstantHDR, AnySplat
+ * and VGGT then agree.
  * Of a PyTorch file the innermost of the dictionaries "state_dict", "model_state_dict", "model" and
  * "module" counts, else the outermost. Attributes of parameters and tensors do not matter, except
  * PyTorch's mark that values are to be negated.
  *
  * The reader refuses
- *  1. files that are neither zip archives nor safetensors; the error names PyTorch's old format;
+ *  1. files that are none of these;
  *  2. archives without exactly one <folder>/data.pkl, with a pickle above 32 MB, big-endian ones;
- *  3. everything that pickle.h and safetensors.h list;
+ *  3. everything that pickle.h, safetensors.h and checkpoint_old.h list;
  *  4. a name that occurs twice;
  *  5. tensors of a PyTorch file without storage, shape and strides of the right kind, beyond their
  *     storage, or whose storage is compressed, encrypted or shorter than it says;
@@ -24,54 +25,14 @@
 #ifndef FORMAT_CHECKPOINT_H
 #define FORMAT_CHECKPOINT_H
 
-#include "core/base/err.h"
-#include "drivers/format/file.h"
-#include "drivers/format/zipfile.h"
+#include "drivers/format/checkpoint_tensors.h"
 
-#include <stdbool.h>
-#include <stddef.h>
-#include <stdint.h>
-
-enum {
-    CHECKPOINT_NAME_CAP = 160,
-    CHECKPOINT_KIND_CAP = 32,
-    CHECKPOINT_RANK_MAX = 8,
-    CHECKPOINT_PARTS_MAX = 256
-};
-
-enum checkpoint_type { CHECKPOINT_F32, CHECKPOINT_BF16, CHECKPOINT_F16, CHECKPOINT_OTHER };
-
-struct checkpoint_tensor {
-    char name[CHECKPOINT_NAME_CAP];
-    enum checkpoint_type type;
-    char kind[CHECKPOINT_KIND_CAP]; // for OTHER: the type's name in the file
-    bool negative;                  // the values are those stored times -1
-    int part, rank;
-    size_t shape[CHECKPOINT_RANK_MAX], stride[CHECKPOINT_RANK_MAX]; // elements
-    uint64_t storage; // zip: index of the member; safetensors: offset in the file, bytes
-    uint64_t offset;  // elements
-    uint64_t room;    // elements of the storage
-};
-
-struct checkpoint_part {
-    char path[FILE_PATH_CAP];
-    struct zipfile zip; // or:
-    void *file;
-};
-
-struct checkpoint {
-    const char *what; // begins the sentences; not owned
-    int n_parts;
-    struct checkpoint_part *parts; // (n_parts) by path
-    int n;
-    struct checkpoint_tensor *tensors; // (n) by name
-};
-
-/* `path` must live as long as *out.
+/* owner: "encoder." for weights of the network, "" leaves names as they are. It and `path` must
+ * live as long as *out.
  * own:  checkpoint_close.
  * err:  ERR_IO, ERR_FORMAT, ERR_LIMIT (also: above CHECKPOINT_PARTS_MAX files),
  *       ERR_NOMEM. On error *out is zeroed. */
-MUST_USE err_t checkpoint_open(const char *path, struct checkpoint *out);
+MUST_USE err_t checkpoint_open(const char *path, const char *owner, struct checkpoint *out);
 
 /* Accepts a zeroed struct. */
 void checkpoint_close(struct checkpoint *c);

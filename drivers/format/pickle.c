@@ -221,10 +221,14 @@ static err_t push_global(struct machine *m, struct bytes module, struct bytes na
     } known[] = {
         {"collections", "OrderedDict", PICKLE_ORDERED_DICT},
         {"torch._utils", "_rebuild_tensor_v2", PICKLE_REBUILD_TENSOR},
+        {"torch._utils", "_rebuild_tensor", PICKLE_REBUILD_TENSOR}, // before 0.4
         {"torch._utils", "_rebuild_parameter", PICKLE_REBUILD_PARAMETER},
         {"torch._utils", "_rebuild_parameter_with_state", PICKLE_REBUILD_PARAMETER},
+        {"torch.nn.parameter", "Parameter", PICKLE_REBUILD_PARAMETER}, // before 0.4
         {"torch._tensor", "_rebuild_from_type_v2", PICKLE_REBUILD_FROM_TYPE},
         {"torch", "Tensor", PICKLE_TENSOR_CLASS},
+        {"torch", "FloatTensor", PICKLE_TENSOR_CLASS}, // before 0.2
+        {"torch", "HalfTensor", PICKLE_TENSOR_CLASS},
         {"torch", "FloatStorage", PICKLE_FLOAT_STORAGE},
         {"torch", "BFloat16Storage", PICKLE_BFLOAT16_STORAGE},
         {"torch", "HalfStorage", PICKLE_HALF_STORAGE},
@@ -277,6 +281,7 @@ static err_t global_of_stack(struct machine *m)
 static err_t push_foreign(struct machine *m, const struct pickle_value *by)
 {
     struct pickle_value v = empty_value(PICKLE_FOREIGN);
+    v.global = by->global;
     v.text = by->text;
     v.n_text = by->n_text;
     return push_new(m, v);
@@ -303,6 +308,24 @@ static err_t from_type(struct machine *m, const struct pickle_value *args)
                                                      : push_foreign(m, function);
 }
 
+/* OrderedDict([[key, value], ...]), as Python 2 writes it; of no list (NULL) empty. */
+static err_t push_ordered(struct machine *m, const struct pickle_value *list)
+{
+    int i = list ? list->first : NOTHING;
+    err_t e = push_kind(m, PICKLE_DICT);
+    const int made = m->out->n_values - 1;
+    for (; i != NOTHING && !e; i = m->out->items[i].next) {
+        const struct pickle_value *pair = value_at(m, m->out->items[i].value);
+        const int key = pair->first;
+        if (pair->count != 2)
+            return refuse_opcode(m, "key without value");
+        e = append_item(m, made, m->out->items[key].value);
+        if (!e)
+            e = append_item(m, made, m->out->items[m->out->items[key].next].value);
+    }
+    return e;
+}
+
 /* The call of what lies below its arguments. */
 static err_t op_reduce(struct machine *m)
 {
@@ -317,8 +340,9 @@ static err_t op_reduce(struct machine *m)
         return refuse_opcode(m, "arguments that are no tuple");
     if (called.kind != PICKLE_GLOBAL)
         return push_kind(m, PICKLE_OPAQUE);
-    if (called.global == PICKLE_ORDERED_DICT && given.count == 0)
-        return push_kind(m, PICKLE_DICT);
+    const struct pickle_value *first = pickle_item(m->out, &given, 0);
+    if (called.global == PICKLE_ORDERED_DICT && (!first || first->kind == PICKLE_LIST))
+        return push_ordered(m, first);
     if (called.global == PICKLE_REBUILD_PARAMETER && given.count > 0)
         return push_value(m, m->out->items[given.first].value);
     if (called.global == PICKLE_REBUILD_TENSOR)
@@ -330,14 +354,55 @@ static err_t op_reduce(struct machine *m)
     return push_kind(m, PICKLE_OPAQUE);
 }
 
-/* Objects of classes, with n values below the class taken away. */
-static err_t new_object(struct machine *m, int n)
+/* An object of a class, with its arguments: before 0.4 also a parameter of its tensor. What gets
+ * its contents from op_build is foreign until then. */
+static err_t new_object(struct machine *m)
+{
+    int args, class;
+    err_t e = pop_value(m, &args);
+    if (!e)
+        e = pop_value(m, &class);
+    if (e)
+        return e;
+    const struct pickle_value *given = value_at(m, args), of = *value_at(m, class);
+    const bool known = of.kind == PICKLE_GLOBAL &&
+                       (of.global == PICKLE_REBUILD_PARAMETER || of.global == PICKLE_TENSOR_CLASS);
+    if (known && given->count == 0)
+        return push_foreign(m, &of);
+    if (known && of.global == PICKLE_REBUILD_PARAMETER)
+        return push_value(m, m->out->items[given->first].value);
+    return push_kind(m, PICKLE_OPAQUE);
+}
+
+static err_t new_object_ex(struct machine *m)
 {
     int gone;
     err_t e = OK;
-    for (int i = 0; i < n && !e; i++)
+    for (int i = 0; i < 3 && !e; i++)
         e = pop_value(m, &gone);
     return e ? e : push_kind(m, PICKLE_OPAQUE);
+}
+
+/* The attributes of an object do not matter, except those of which PyTorch made tensors (storage,
+ * offset, shape, strides) and parameters (tensor, gradient, hooks, two marks) at first. */
+static err_t op_build(struct machine *m)
+{
+    int state, object;
+    err_t e = pop_value(m, &state);
+    if (!e)
+        e = pop_value(m, &object);
+    if (e)
+        return e;
+    const struct pickle_value given = *value_at(m, state);
+    struct pickle_value *v = value_at(m, object);
+    const bool blank = v->kind == PICKLE_FOREIGN && given.kind == PICKLE_TUPLE;
+    if (blank && v->global == PICKLE_TENSOR_CLASS && given.count == 4) {
+        *v = given;
+        v->kind = PICKLE_TENSOR;
+    } else if (blank && v->global == PICKLE_REBUILD_PARAMETER && given.count == 5) {
+        *v = *value_at(m, m->out->items[given.first].value);
+    }
+    return push_value(m, object);
 }
 
 static err_t load_persistent(struct machine *m)
@@ -524,10 +589,11 @@ static int run_other(struct machine *m)
     case 'R': // REDUCE
         return op_reduce(m);
     case 0x81: // NEWOBJ
-        return new_object(m, 2);
+        return new_object(m);
     case 0x92: // NEWOBJ_EX
-        return new_object(m, 3);
-    case 'b': // BUILD: the attributes of an object
+        return new_object_ex(m);
+    case 'b': // BUILD
+        return op_build(m);
     case '0': // POP
         return pop_value(m, &v);
     case '1': // POP_MARK
@@ -568,6 +634,7 @@ err_t pickle_parse(const char *what, const void *p, size_t n, struct pickle *out
         e = run_opcode(&m);
     free(m.stack);
     free(m.memo);
+    out->bytes = n - m.in.left;
     if (e)
         pickle_free(out);
     return e;

@@ -38,10 +38,10 @@ enum pickle_global {
     PICKLE_UNKNOWN,
     PICKLE_ORDERED_DICT,
     PICKLE_REBUILD_TENSOR,
-    PICKLE_REBUILD_PARAMETER,
+    PICKLE_REBUILD_PARAMETER, // also the class of parameters
     PICKLE_REBUILD_FROM_TYPE,
     PICKLE_REBUILD_OTHER, // other functions of PyTorch that make tensors
-    PICKLE_TENSOR_CLASS,
+    PICKLE_TENSOR_CLASS,  // of any type of elements
     PICKLE_FLOAT_STORAGE,
     PICKLE_BFLOAT16_STORAGE,
     PICKLE_HALF_STORAGE
@@ -49,7 +49,7 @@ enum pickle_global {
 
 struct pickle_value {
     enum pickle_kind kind;
-    enum pickle_global global; // GLOBAL
+    enum pickle_global global; // GLOBAL, FOREIGN
     int64_t number;            // INT
     const char *text;          // TEXT, GLOBAL (its name), FOREIGN: of the pickle, not terminated
     size_t n_text;
@@ -65,6 +65,7 @@ struct pickle {
     struct pickle_item *items;
     int n_values, n_items, values_cap, items_cap;
     int root;
+    size_t bytes; // of the pickle; what follows is not looked at
 };
 
 /* Parse n bytes, which must live as long as *out; `what` begins the sentence.

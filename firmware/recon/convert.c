@@ -287,7 +287,7 @@ err_t convert_file(struct engine *en, const struct convert_request *q, const cha
     err_t e = file_is_same(path, q->out)
                   ? err_fail(ERR_ARG,
                              "%s would be replaced by what is made of it: give another --out", path)
-                  : checkpoint_open(path, &c);
+                  : checkpoint_open(path, "encoder.", &c);
     if (!e)
         e = convert_open(en, q, &c);
     checkpoint_close(&c);

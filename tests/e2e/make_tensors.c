@@ -49,7 +49,7 @@ int main(int argc, char **argv)
         fputs("usage: make_tensors CHECKPOINT FILE\n", stderr);
         return 2;
     }
-    err_t e = checkpoint_open(argv[1], &c);
+    err_t e = checkpoint_open(argv[1], "encoder.", &c);
     if (!e)
         e = file_create(argv[2], &f);
     if (!e)

@@ -23,7 +23,7 @@ static err_t checkpoint(void *ctx)
 {
     float v[16];
     struct checkpoint c;
-    err_t e = checkpoint_open(ctx, &c);
+    err_t e = checkpoint_open(ctx, "encoder.", &c);
     if (!e)
         e = checkpoint_read(&c, checkpoint_find(&c, "encoder.x"), v);
     checkpoint_close(&c);

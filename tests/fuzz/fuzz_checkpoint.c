@@ -22,7 +22,7 @@ static void *make_archive(const uint8_t *pickle, size_t n, size_t *bytes)
 static void read_all(const char *path)
 {
     struct checkpoint c;
-    if (checkpoint_open(path, &c) == OK)
+    if (checkpoint_open(path, "encoder.", &c) == OK)
         for (int i = 0; i < c.n; i++) {
             size_t n = checkpoint_count(&c.tensors[i]);
             float *out = n <= 1 << 16 ? malloc((n + 1) * sizeof *out) : NULL;

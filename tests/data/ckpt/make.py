@@ -260,6 +260,21 @@ def kinds():
     return {"epoch": 3, "optimizer": {"state": {}}, "model": {"module": state}}
 
 
+def old():
+    """What PyTorch before 1.6 wrote: shared, transposed and half tensors, of other types between."""
+    both = torch.arange(12.0)
+    state = collections.OrderedDict()
+    state["features.0.weight"] = both[:6].view(2, 3)
+    state["count"] = torch.tensor([1, 2, 3])
+    state["features.0.bias"] = both[6:].view(3, 2).t()
+    state["mask"] = torch.tensor([True, False, True])
+    state["half"] = torch.tensor([1.0, -2.5]).half()
+    state["brain"] = torch.nn.Parameter(torch.tensor([0.5, 3.0]).bfloat16())
+    state["wave"] = torch.tensor([1 + 2j])
+    state["lin0.model.1.weight"] = torch.tensor([0.25, 0.125]).view(1, 2, 1, 1)
+    return {"epoch": 3, "state_dict": state}
+
+
 def write_safetensors(path, state):
     """All F32, the container written by hand."""
     header, at, data = {}, 0, []
@@ -281,6 +296,7 @@ def main():
         return
     torch.save(lightning(awkward(tensors(TINY, "model."))), os.path.join(HERE, "tiny.ckpt"))
     torch.save(kinds(), os.path.join(HERE, "kinds.pt"))
+    torch.save(old(), os.path.join(HERE, "old.pt"), _use_new_zipfile_serialization=False)
     torch.save({"epoch": 1, "model": torch.nn.Linear(1, 1)}, os.path.join(HERE, "object.pt"))
     with open(os.path.join(HERE, "tiny.json"), "w") as f:
         json.dump({"model": TINY, "voxel_size": 0.25, "image_size": 56}, f, indent=1)

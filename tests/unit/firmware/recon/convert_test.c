@@ -64,7 +64,7 @@ static const char *write_safetensors(void)
     const char *path = tmpdir_path("tiny.safetensors");
     struct checkpoint c;
     FILE *f = fopen(path, "wb");
-    assert_int_equal(checkpoint_open(TINY, &c), OK);
+    assert_int_equal(checkpoint_open(TINY, "encoder.", &c), OK);
     put_header(f, &c);
     for (int i = 0; i < c.n; i++) {
         const struct checkpoint_tensor *t = &c.tensors[i];
