@@ -81,7 +81,11 @@ static struct span by_name(const struct tensor_spec *t, double he)
         {"_token", 0, 0.5, 0},
         {"_tokens", 0, 0.5, 0},
         {".bias", 0, 0.02, 0},
+        {".model.1.weight", 0, 0.5, 0.5f}, // of LPIPS, >= 0
     };
+    static const char features[] = "features."; // of LPIPS: all are followed by ReLU
+    if (strncmp(t->name, features, sizeof features - 1) == 0 && t->rank == 4)
+        return (struct span){(float)(sqrt(2) * he), 0, SIZE_MAX};
     for (size_t k = 0; k < sizeof rules / sizeof rules[0]; k++)
         if (ends_with(t->name, rules[k].suffix))
             return (struct span){(float)(rules[k].scale + rules[k].of_he * he), rules[k].offset,

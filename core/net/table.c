@@ -117,6 +117,8 @@ static err_t check_gauss(const struct net_dims *d)
 
 err_t table_check(const struct net_dims *d)
 {
+    if (d->lpips != LPIPS_NONE)
+        return OK;
     err_t e = check_range("embed", d->embed, 16, WIDTH_MAX);
     if (!e)
         e = check_heads("heads", d->embed, d->heads);
@@ -196,7 +198,8 @@ static bool begins_with(const char *name, const char *const *prefix)
 
 static enum tensor_role role_of(const char *name, int rank)
 {
-    if (rank < 2 || !ends_with(name, ".weight"))
+    static const char *const plain[] = {TABLE_LINEAR, NULL};
+    if (rank < 2 || !ends_with(name, ".weight") || begins_with(name, plain))
         return ROLE_PLAIN;
     if (rank == 2)
         return ROLE_LINEAR;
@@ -230,6 +233,7 @@ static const char *const exact_products[] = {
     "encoder.complete.down.1.",
     "encoder.complete.join.0.",
     "encoder.complete.out.",
+    "features.",
     NULL,
 };
 
@@ -432,9 +436,28 @@ static void walk_complete(struct walk *w)
     emit_pair(w, shape_4d(NET_COMPLETE_OUT, c[0], 3), NET_COMPLETE_OUT, "%s.out", h);
 }
 
+/* All stay floats: LPIPS is measured, not approximated. */
+static void walk_lpips(struct walk *w)
+{
+    const struct lpips_layers *layers = lpips_layers_of(w->d->lpips);
+    for (int s = 0, before = 3; s < LPIPS_STAGES; s++) {
+        const struct lpips_stage *stage = &layers->stage[s];
+        for (int i = 0; i < stage->n; i++, before = stage->width)
+            emit_pair(w, shape_4d(stage->width, before, stage->conv[i].kernel), stage->width,
+                      "features.%d", stage->conv[i].feature);
+    }
+    for (int s = 0; s < LPIPS_STAGES; s++)
+        emit_tensor(w, (struct shape){4, {1, layers->stage[s].width, 1, 1}},
+                    TABLE_LINEAR "%d.model.1.weight", s);
+}
+
 err_t table_walk(const struct net_dims *d, tensor_fn *fn, void *ctx)
 {
     struct walk w = {d, fn, ctx, OK};
+    if (d->lpips != LPIPS_NONE) {
+        walk_lpips(&w);
+        return w.e;
+    }
     walk_aggregator(&w);
     walk_camera_head(&w);
     walk_depth_head(&w);

@@ -7,6 +7,7 @@
 
 #include "core/base/err.h"
 #include "core/base/types.h"
+#include "core/net/lpips_layers.h"
 
 #include <stdbool.h>
 #include <stddef.h>
@@ -45,6 +46,8 @@ struct net_dims {
     bool gauss, appearance; // has the Gaussian head; has the HDR modules (InstantHDR, not AnySplat)
     bool rope_bf16; // angles rounded to bf16 as in the released training (core/net/README.md 1.2)
     bool complete;  // has the completion branch (core/net/README.md 2.14)
+    /* Not LPIPS_NONE: no network of scenes, but that of core/net/lpips.h; the rest is 0. */
+    enum lpips_net lpips;
 };
 
 /* Dimensions of the release (core/net/README.md 3.1) and of golden/mini. */
@@ -80,6 +83,9 @@ struct tensor_spec {
  * first error and returns it. d must have passed table_check. */
 typedef err_t tensor_fn(void *ctx, const struct tensor_spec *t);
 MUST_USE err_t table_walk(const struct net_dims *d, tensor_fn *fn, void *ctx);
+
+/* Linear weights of LPIPS: those after stage i are "lin<i>.model.1.weight". */
+#define TABLE_LINEAR "lin"
 
 /* Elements of a tensor. */
 size_t table_count(const struct tensor_spec *t);

@@ -76,8 +76,23 @@ static err_t get_member(const char *what, const struct member *m, const struct c
     }
 }
 
+static err_t read_lpips(const char *what, const struct cJSON *v, struct net_dims *d)
+{
+    const char *name = json_string(v);
+    *d = (struct net_dims){.lpips = name ? lpips_layers_named(name) : LPIPS_NONE};
+    if (d->lpips == LPIPS_NONE)
+        return err_fail(ERR_FORMAT,
+                        "%s: lpips is not the name of a network that LPIPS uses: "
+                        "vgg16 or alexnet",
+                        what);
+    return OK;
+}
+
 err_t netdims_read(const char *what, const struct cJSON *object, bool all, struct net_dims *d)
 {
+    const struct cJSON *lpips = json_member(object, "lpips");
+    if (lpips)
+        return read_lpips(what, lpips, d);
     for (int k = 0; k < N_MEMBERS; k++) {
         const struct cJSON *v = json_member(object, members[k].key);
         if (!v && all && members[k].kind != ADDED)
@@ -105,6 +120,10 @@ static void put_member(FILE *f, const struct member *m, const void *from)
 
 void netdims_put(FILE *f, const struct net_dims *d)
 {
+    if (d->lpips != LPIPS_NONE) {
+        fprintf(f, "{\"lpips\":\"%s\"}", lpips_layers_of(d->lpips)->name);
+        return;
+    }
     for (int k = 0; k < N_MEMBERS; k++) {
         const void *from = (const char *)d + members[k].at;
         if (members[k].kind == ADDED && !*(const bool *)from)

@@ -1,5 +1,5 @@
 /* netdims.h - the network's dimensions as JSON: {"embed": 1024, "keep": [4, 11, 17, 23], ...} with
- * the names of struct net_dims.
+ * the names of struct net_dims; or {"lpips": "vgg16"} or "alexnet", which has no dimensions.
  * thread: any. */
 #ifndef FORMAT_NETDIMS_H
 #define FORMAT_NETDIMS_H

@@ -94,6 +94,8 @@ static void print_ranks(void)
 
 static const char *kind_of(const struct net_dims *d)
 {
+    if (d->lpips != LPIPS_NONE)
+        return d->lpips == LPIPS_VGG16 ? "LPIPS of vgg16" : "LPIPS of alexnet";
     return !d->gauss        ? "VGGT: cameras and depth"
            : !d->appearance ? "AnySplat: Gaussians of one exposure"
                             : "InstantHDR: Gaussians, radiance, tone curve";
@@ -111,9 +113,10 @@ static err_t print_model(const char *path)
     printf("model          %s\n", kind_of(d));
     printf("weights        %s, %.0f MB, %d tensors\n", modelfile_precision(m->precision),
            (double)m->bytes * 1e-6, m->n);
-    printf(
-        "dimensions     tokens of %d, %d heads, %d + 2 x %d blocks, views of %d px, cells of %g\n",
-        d->embed, d->heads, d->dino_depth, d->depth, d->size, (double)d->voxel);
+    if (d->lpips == LPIPS_NONE)
+        printf("dimensions     tokens of %d, %d heads, %d + 2 x %d blocks, views of %d px, cells "
+               "of %g\n",
+               d->embed, d->heads, d->dino_depth, d->depth, d->size, (double)d->voxel);
     printf("source         %s\nlicence        %s\n", m->source, m->licence);
     e = modelfile_verify(&file);
     if (!e)

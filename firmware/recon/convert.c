@@ -57,6 +57,8 @@ static err_t write_file(struct engine *en, const struct convert_request *q,
                         const struct modelwrite *weights)
 {
     struct modelwrite w = *weights;
+    if (w.dims.lpips != LPIPS_NONE && q->precision != PRECISION_F32)
+        return err_fail(ERR_ARG, "weights of LPIPS are fp32 only");
     struct smooth smooth = {.dims = &w.dims, .fetch = w.fetch, .ctx = w.ctx};
     w.precision = q->precision;
     if (q->precision == PRECISION_S8) {
@@ -129,9 +131,10 @@ static const char *list_more(const struct list *l)
     return l->n > LISTED_MAX ? ", ..." : "";
 }
 
-/* A checkpoint against the table of the network. */
+/* A checkpoint against the table of the network, or what in both begins with a prefix. */
 struct match {
     const struct checkpoint *c;
+    const char *prefix;
     bool *known; // (c->n) whether the table has it, read or not
     struct list missing, wrong, unread;
 };
@@ -149,6 +152,8 @@ static bool same_shape(const struct checkpoint_tensor *a, const struct tensor_sp
 static err_t match_tensor(void *ctx, const struct tensor_spec *t)
 {
     struct match *m = ctx;
+    if (strncmp(t->name, m->prefix, strlen(m->prefix)) != 0)
+        return OK;
     const struct checkpoint_tensor *have = checkpoint_find(m->c, t->name);
     if (have)
         m->known[have - m->c->tensors] = true;
@@ -178,16 +183,16 @@ static void warn_of_extras(const struct match *m)
 {
     struct list extra = {0};
     for (int i = 0; i < m->c->n; i++)
-        if (!m->known[i])
+        if (!m->known[i] && strncmp(m->c->tensors[i].name, m->prefix, strlen(m->prefix)) == 0)
             list_add(&extra, m->c->tensors[i].name, "");
     if (extra.n > 0)
         log_warn("%s: tensors are not of this network and left out (%d): %s%s", m->c->what, extra.n,
                  extra.text, list_more(&extra));
 }
 
-static err_t match_all(const struct checkpoint *c, const struct net_dims *d)
+static err_t match_all(const struct checkpoint *c, const struct net_dims *d, const char *prefix)
 {
-    struct match m = {.c = c, .known = calloc((size_t)c->n + 1, sizeof *m.known)};
+    struct match m = {.c = c, .prefix = prefix, .known = calloc((size_t)c->n + 1, sizeof *m.known)};
     if (!m.known)
         return err_fail(ERR_NOMEM, "no memory for %d names", c->n);
     err_t e = table_walk(d, match_tensor, &m);
@@ -245,11 +250,10 @@ static err_t hash_all(const struct run *r, const struct checkpoint *c, char hex[
     return e;
 }
 
-static err_t fetch_tensor(void *ctx, const struct run *r, const struct tensor_spec *t, float *out)
+/* The values of a tensor, which must be within -CONVERT_WEIGHT_MAX and CONVERT_WEIGHT_MAX. */
+static err_t read_tensor(const struct checkpoint *c, const struct tensor_spec *t, float *out)
 {
-    const struct checkpoint *c = ctx;
     const size_t n = table_count(t);
-    (void)r;
     err_t e = checkpoint_read(c, checkpoint_find(c, t->name), out);
     for (size_t i = 0; i < n && !e; i++)
         if (!(fabsf(out[i]) <= CONVERT_WEIGHT_MAX))
@@ -261,35 +265,132 @@ static err_t fetch_tensor(void *ctx, const struct run *r, const struct tensor_sp
     return e;
 }
 
+static err_t fetch_tensor(void *ctx, const struct run *r, const struct tensor_spec *t, float *out)
+{
+    (void)r;
+    return read_tensor(ctx, t, out);
+}
+
 static err_t convert_open(struct engine *en, const struct convert_request *q, struct checkpoint *c)
 {
     char hex[SHA256_HEX_CAP], source[FILE_PATH_CAP + SHA256_HEX_CAP + 16];
-    const char *slash = strrchr(c->what, '/');
     struct modelwrite w = {
         .source = source, .licence = "that of the source", .fetch = fetch_tensor, .ctx = c};
     err_t e = q->config ? read_config(q->config, &w.dims) : netdims_infer_run(c, &w.dims);
     w.precision = q->precision;
     if (!e)
-        e = match_all(c, &w.dims);
+        e = match_all(c, &w.dims, "");
     if (!e)
         e = modelwrite_check(&w, q->out);
     if (!e)
         e = hash_all(&en->run, c, hex);
     if (e)
         return e;
-    snprintf(source, sizeof source, "%.200s sha256:%s", slash ? slash + 1 : c->what, hex);
+    snprintf(source, sizeof source, "%.200s sha256:%s", file_name(c->what), hex);
     return write_file(en, q, &w);
+}
+
+static err_t check_other(const char *path, const char *out)
+{
+    return file_is_same(path, out)
+               ? err_fail(ERR_ARG, "%s would be replaced by what is made of it: give another --out",
+                          path)
+               : OK;
 }
 
 err_t convert_file(struct engine *en, const struct convert_request *q, const char *path)
 {
     struct checkpoint c = {0};
-    err_t e = file_is_same(path, q->out)
-                  ? err_fail(ERR_ARG,
-                             "%s would be replaced by what is made of it: give another --out", path)
-                  : checkpoint_open(path, "encoder.", &c);
+    err_t e = check_other(path, q->out);
+    if (!e)
+        e = checkpoint_open(path, "encoder.", &c);
     if (!e)
         e = convert_open(en, q, &c);
     checkpoint_close(&c);
+    return e;
+}
+
+/* ---- LPIPS ---- */
+
+struct both {
+    struct checkpoint backbone, linear;
+};
+
+static err_t fetch_lpips(void *ctx, const struct run *r, const struct tensor_spec *t, float *out)
+{
+    const struct both *b = ctx;
+    const bool linear = strncmp(t->name, TABLE_LINEAR, strlen(TABLE_LINEAR)) == 0;
+    const size_t n = table_count(t);
+    (void)r;
+    err_t e = read_tensor(linear ? &b->linear : &b->backbone, t, out);
+    for (size_t i = 0; i < n && linear && !e; i++)
+        if (out[i] < 0)
+            e = err_fail(ERR_FORMAT,
+                         "tensor %s: element %zu is %g, linear weights of LPIPS are >= 0", t->name,
+                         i, (double)out[i]);
+    return e;
+}
+
+/* Which of the two networks it is: their first kernels differ. */
+static err_t tell_backbone(const struct checkpoint *c, enum lpips_net *out)
+{
+    static const char first[] = "features.0.weight";
+    const struct checkpoint_tensor *t = checkpoint_find(c, first);
+    const size_t edge = t && t->rank == 4 ? t->shape[2] : 0;
+    *out = edge == 3 ? LPIPS_VGG16 : edge == 11 ? LPIPS_ALEXNET : LPIPS_NONE;
+    if (*out == LPIPS_NONE)
+        return err_fail(ERR_FORMAT,
+                        "%s: has no tensor %s of kernels of 3 or 11 px: --lpips needs "
+                        "torchvision's vgg16 or alexnet here",
+                        c->what, first);
+    return OK;
+}
+
+static err_t match_both(const struct both *b, const struct net_dims *d)
+{
+    err_t e = match_all(&b->backbone, d, "features.");
+    if (!e)
+        e = match_all(&b->linear, d, TABLE_LINEAR);
+    return e ? err_fail(e, "%s (for LPIPS of %s)", err_text(), lpips_layers_of(d->lpips)->name)
+             : OK;
+}
+
+static err_t convert_both(struct engine *en, const struct convert_request *q, struct both *b)
+{
+    char of_backbone[SHA256_HEX_CAP], of_linear[SHA256_HEX_CAP];
+    char source[2 * (200 + SHA256_HEX_CAP + 16)];
+    struct modelwrite w = {
+        .source = source, .licence = "those of the sources", .fetch = fetch_lpips, .ctx = b};
+    err_t e = tell_backbone(&b->backbone, &w.dims.lpips);
+    if (!e)
+        e = match_both(b, &w.dims);
+    if (!e)
+        e = modelwrite_check(&w, q->out);
+    if (!e)
+        e = hash_all(&en->run, &b->backbone, of_backbone);
+    if (!e)
+        e = hash_all(&en->run, &b->linear, of_linear);
+    if (e)
+        return e;
+    snprintf(source, sizeof source, "%.200s sha256:%s, %.200s sha256:%s",
+             file_name(b->backbone.what), of_backbone, file_name(b->linear.what), of_linear);
+    return write_file(en, q, &w);
+}
+
+err_t convert_lpips(struct engine *en, const struct convert_request *q, const char *backbone,
+                    const char *linear)
+{
+    struct both b = {.backbone = {0}};
+    err_t e = check_other(backbone, q->out);
+    if (!e)
+        e = check_other(linear, q->out);
+    if (!e)
+        e = checkpoint_open(backbone, "", &b.backbone);
+    if (!e)
+        e = checkpoint_open(linear, "", &b.linear);
+    if (!e)
+        e = convert_both(en, q, &b);
+    checkpoint_close(&b.backbone);
+    checkpoint_close(&b.linear);
     return e;
 }

@@ -30,4 +30,12 @@ MUST_USE err_t convert_hashed(struct engine *en, const struct convert_request *q
  *       modelwrite_run. */
 MUST_USE err_t convert_file(struct engine *en, const struct convert_request *q, const char *path);
 
+/* Weights of LPIPS (core/net/lpips.h), fp32: torchvision's vgg16 or alexnet, told apart by their
+ * shapes, without its classifier, and the linear layers that the package lpips (version 0.1) has
+ * for it.
+ * err:  as convert_file; ERR_FORMAT also for a linear weight below 0, with which it is no
+ *       distance. */
+MUST_USE err_t convert_lpips(struct engine *en, const struct convert_request *q,
+                             const char *backbone, const char *linear);
+
 #endif

@@ -21,6 +21,11 @@ err_t network_open(const char *path, const char *precision, unsigned floats, str
             "%s holds %s weights, --precision %.16s was requested; hdrig convert --precision "
             "%.16s makes a file of them",
             path, have, precision, precision);
+    if (!e && out->file.model.dims.lpips != LPIPS_NONE)
+        e = err_fail(ERR_ARG,
+                     "%s holds weights of LPIPS, for hdrig eval --lpips, not of a network "
+                     "that finds scenes",
+                     path);
     if (!e)
         e = net_bind(&out->file.model, floats, &out->net);
     if (e)

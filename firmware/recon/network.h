@@ -14,7 +14,8 @@ struct network {
 
 /* precision: a word of modelfile.h that the file must have, or NULL. floats: NET_FLOAT_ bits.
  * own:  network_close.
- * err:  those of modelfile_open; ERR_ARG (another precision). On error *out is zeroed. */
+ * err:  those of modelfile_open; ERR_ARG (another precision, weights of LPIPS). On error *out is
+ *       zeroed. */
 MUST_USE err_t network_open(const char *path, const char *precision, unsigned floats,
                             struct network *out);
 

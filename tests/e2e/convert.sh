@@ -61,6 +61,20 @@ succeed convert "$OUT/tiny.safetensors.index.json" --config "$tiny/tiny.json" \
 cmp -s <(tail -c 1000000 "$OUT/sharded.hdrig") <(tail -c 1000000 "$OUT/again.hdrig") ||
     fail "an index gives other weights"
 
+# LPIPS, whose weights are no network of scenes
+echo '{"model": {"lpips": "alexnet"}}' >"$OUT/alexnet.json"
+succeed convert --hashed 1 --config "$OUT/alexnet.json" --out "$OUT/lpips.hdrig"
+succeed doctor --model "$OUT/lpips.hdrig"
+grep -q 'LPIPS of alexnet' "$OUT/stdout.txt" || fail "doctor does not tell LPIPS"
+refused 1 'weights of LPIPS are fp32 only' --hashed 1 --config "$OUT/alexnet.json" --precision int8
+for other in '--hashed 1 --config mini' 'x --config mini' 'x --precision bf16'; do
+    # shellcheck disable=SC2086
+    expect 2 '--lpips goes with neither --hashed nor --config' convert $other --lpips x --out y
+done
+refused 1 'tiny.ckpt: has no tensor features.0.weight of kernels' "$tiny/tiny.ckpt" \
+    --lpips "$tiny/tiny.ckpt"
+refused 1 'old.pt: has no tensor features.0.weight' "$tiny/old.pt" --lpips "$tiny/old.pt"
+
 # inputs
 config=(--config "$tiny/tiny.json")
 refused 1 "$OUT/nowhere" "$OUT/nowhere" "${config[@]}"

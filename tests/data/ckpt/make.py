@@ -167,9 +167,11 @@ def rules(name, shape, n):
             ("q_norm.weight", 0.1, 1.8), ("k_norm.weight", 0.1, 1.8),
             ("attn.qkv.weight", 1.25 * he, 0), (".gamma", 0.1, 0.25),
             ("patch_embed.pos_embed", 1.5, 0), ("_token", 0.5, 0), ("_tokens", 0.5, 0),
-            (".bias", 0.02, 0)):
+            (".bias", 0.02, 0), (".model.1.weight", 0.5, 0.5)):
         if name.endswith(suffix):
             return scale, offset
+    if name.startswith("features.") and len(shape) == 4:
+        return math.sqrt(2) * he, 0.0
     if len(shape) == 1:
         return 0.1, 1.0
     if len(shape) == 4 and name.endswith(("resize_layers.0.weight", "resize_layers.1.weight")):
