@@ -346,7 +346,7 @@ err_t lpips_bind(const struct model *m, struct lpips *out)
     memset(out, 0, sizeof *out);
     out->layers = lpips_layers_of(m->dims.lpips);
     if (!out->layers)
-        return err_fail(ERR_FORMAT, "weights of a network of scenes, not of LPIPS");
+        return err_fail(ERR_FORMAT, "these are weights of a network of scenes, not of LPIPS");
     err_t e = OK;
     for (int s = 0; s < LPIPS_STAGES && !e; s++) {
         const struct lpips_stage *stage = &out->layers->stage[s];

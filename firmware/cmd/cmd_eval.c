@@ -4,6 +4,7 @@
 #include "firmware/cmd/cmd.h"
 #include "firmware/recon/evaluate.h"
 #include "firmware/recon/lenses.h"
+#include "firmware/recon/lpips_weights.h"
 #include "firmware/recon/stored.h"
 #include "firmware/recon/testcams.h"
 #include "firmware/result/report_page.h"
@@ -22,7 +23,7 @@
 struct request {
     struct imageset_request set;
     struct cmd_model model;
-    const char *scene, *views, *exposures, *protocol, *out, *json;
+    const char *scene, *views, *exposures, *protocol, *lpips, *out, *json;
     struct outdir_rules rules;
     bool strict, resume;
     struct config cfg;
@@ -32,6 +33,7 @@ struct state {
     struct teamwork team;
     struct engine engine;
     struct network network;
+    struct lpips_weights lpips; // zeroed: not asked for
     struct imageset train, test;
     struct prep_source source;             // of train
     struct imageset true_train, true_test; // with cameras, if the network had to find them
@@ -52,8 +54,7 @@ static void report_score(struct report *rep, const char *key, const struct evalu
     report_open(rep, key, '{');
     report_number(rep, "psnr", s->psnr);
     report_number(rep, "ssim", s->ssim);
-    if (strcmp(key, "ldr") == 0)
-        report_text(rep, "lpips", NULL); // needs a trained network, which the tool lacks
+    report_number(rep, "lpips", s->lpips);
     report_int(rep, "images", s->n);
     report_close(rep);
 }
@@ -106,8 +107,29 @@ static void report_pictures(const struct evaluate_result *fig, struct report *re
         report_bool(rep, "exposure_seen", p->seen);
         report_number(rep, "psnr", p->psnr);
         report_number(rep, "ssim", p->ssim);
+        report_number(rep, "lpips", p->lpips);
         report_close(rep);
     }
+    report_close(rep);
+}
+
+static const struct lpips *lpips_of(const struct state *st)
+{
+    return st->lpips.net.layers ? &st->lpips.net : NULL;
+}
+
+/* What the distances were measured with. */
+static void report_lpips(const struct state *st, struct report *rep)
+{
+    const struct lpips *l = lpips_of(st);
+    if (!l) {
+        report_text(rep, "lpips", NULL);
+        return;
+    }
+    report_open(rep, "lpips", '{');
+    report_text(rep, "net", l->layers->name);
+    report_row(rep, "range", (const double[]){l->centred ? -1 : 0, 1}, 2);
+    report_text(rep, "source", st->lpips.file.model.source);
     report_close(rep);
 }
 
@@ -123,6 +145,7 @@ static void write_report(const struct state *st, FILE *f)
     report_score(&rep, "ldr_seen_exposures", &fig->ldr_seen);
     report_score(&rep, "ldr_unseen_exposures", &fig->ldr_unseen);
     report_score(&rep, "baseline_nearest", &fig->nearest);
+    report_lpips(st, &rep);
     report_trust(&fig->trust, &rep);
     report_pose(&rep, &st->pose);
     report_open(&rep, "per_exposure", '[');
@@ -131,6 +154,7 @@ static void write_report(const struct state *st, FILE *f)
         report_number(&rep, "exposure", fig->exposures[i].exposure);
         report_number(&rep, "psnr", fig->exposures[i].score.psnr);
         report_number(&rep, "ssim", fig->exposures[i].score.ssim);
+        report_number(&rep, "lpips", fig->exposures[i].score.lpips);
         report_close(&rep);
     }
     report_close(&rep);
@@ -141,8 +165,12 @@ static void write_report(const struct state *st, FILE *f)
 
 static void print_score(const char *what, const struct evaluate_score *s)
 {
-    if (s->n > 0)
-        printf("%-18s %9.3f %9.4f %7d\n", what, s->psnr, s->ssim, s->n);
+    if (s->n == 0)
+        return;
+    printf("%-18s %9.3f %9.4f", what, s->psnr, s->ssim);
+    if (isfinite(s->lpips))
+        printf(" %9.4f", s->lpips);
+    printf(" %7d\n", s->n);
 }
 
 static void print_worst(const struct evaluate_result *fig)
@@ -163,7 +191,8 @@ static void print_table(const struct state *st)
     if (!st->job.measured_only)
         printf(", %d steps", st->job.refine.steps);
     printf(", %.1f s%s\n\n", st->job.lap_s - st->job.start_s, cmd_count_warnings(&st->job, count));
-    printf("%-18s %9s %9s %7s\n", "", "PSNR dB", "SSIM", "images");
+    printf("%-18s %9s %9s %s%7s\n", "", "PSNR dB", "SSIM", lpips_of(st) ? "    LPIPS " : "",
+           "images");
     print_score("LDR", &fig->ldr);
     for (int i = 0; i < fig->n_exposures; i++) {
         char what[32];
@@ -270,12 +299,13 @@ static err_t reserve_memory(struct state *st, const struct request *rq, struct j
                             struct prep_size size, int most)
 {
     struct plan p = plan_begin(pool_size(st->engine.pool));
-    err_t e = evaluate_check(&st->test.capture);
+    const struct evaluate_pictures pictures = {&st->test.capture, size, lpips_of(st)};
+    err_t e = evaluate_check(&pictures);
     if (e)
         return e;
     arena_hold(&p.keep, need.keep);
     arena_step(&p.tmp, need.tmp);
-    evaluate_plan(&p, &st->test.capture, size, most);
+    evaluate_plan(&p, &pictures, most);
     e = engine_reserve(&st->engine, arena_add(need.pictures, need.weights), p.keep.peak, p.tmp.peak,
                        config_memory_mb(&rq->cfg));
     if (!e && rq->out)
@@ -513,6 +543,14 @@ static err_t list_exposures(const struct state *st, const struct request *rq,
     return e ? e : stored_exposures(path, out);
 }
 
+/* The release gives LPIPS values in [0, 1]; it was trained with [-1, 1]. */
+static err_t open_lpips(struct state *st, const struct request *rq)
+{
+    err_t e = lpips_weights_open(rq->lpips, &st->lpips);
+    st->lpips.net.centred = strcmp(rq->protocol, "native") == 0;
+    return e;
+}
+
 static err_t evaluate_scene(struct state *st, struct request *rq)
 {
     struct evaluate_seen inputs = {0};
@@ -525,6 +563,8 @@ static err_t evaluate_scene(struct state *st, struct request *rq)
         e = cmd_json_open(rq->json, &st->json);
     if (!e)
         e = teamwork_path(&st->team, &rq->set.images);
+    if (!e && rq->lpips && measures)
+        e = open_lpips(st, rq);
     if (!e)
         e = rq->scene ? read_scene(st, rq) : reconstruct_inputs(st, rq);
     st->engine.run.team = NULL; // the first rank measures alone
@@ -533,7 +573,9 @@ static err_t evaluate_scene(struct state *st, struct request *rq)
     if (!e)
         e = list_exposures(st, rq, &inputs);
     if (!e)
-        e = evaluate_run(&st->engine.run, &st->job, &st->test, &inputs, out, &st->figures);
+        e = evaluate_run(&st->engine.run, &st->job,
+                         &(struct evaluate_job){&st->test, &inputs, lpips_of(st), out},
+                         &st->figures);
     cmd_report_unread(&st->train, &st->job);
     st->job.keep_peak = st->engine.keep.peak;
     st->job.tmp_peak = st->engine.tmp.peak;
@@ -597,8 +639,12 @@ int cmd_eval_run(int argc, char **argv)
         {"views", "N", "input views; else all, one exposure each", NULL, &rq.views, NULL},
         {"exposure-set", "LIST", "inputs only at these of the set's sorted exposures: 1,3,5", NULL,
          &rq.exposures, NULL},
-        {"protocol", "P", "paper: views squeezed to squares (default); native: as they are", NULL,
-         &rq.protocol, NULL},
+        {"protocol", "P",
+         "paper (default): views squeezed to squares, LPIPS of values in [0, 1]; native: as they "
+         "are, in [-1, 1]",
+         NULL, &rq.protocol, NULL},
+        {"lpips", "FILE", "measure LPIPS, too, with these weights of hdrig convert --lpips", NULL,
+         &rq.lpips, NULL},
         {"rig", "PATH", "known cameras: COLMAP folder or cameras.json; else sparse/0; none", NULL,
          &rq.set.rig, NULL},
         {"model", "FILE", "weights of a network, or none", NULL, &rq.model.path, NULL},
@@ -629,7 +675,7 @@ int cmd_eval_run(int argc, char **argv)
         return cmd_misuse(&usage, misuse_reason(&rq));
     if (read_numbers(&rq) != OK)
         return cmd_misuse(&usage, err_text());
-    const char *const inputs[] = {rq.set.images, rq.scene, rq.set.rig, rq.model.path};
+    const char *const inputs[] = {rq.set.images, rq.scene, rq.set.rig, rq.model.path, rq.lpips};
     memcpy(rq.rules.inputs, inputs, sizeof inputs);
     err_t e = evaluate_scene(&st, &rq);
     const bool speaks = teamwork_speaks(&st.team);
@@ -638,5 +684,6 @@ int cmd_eval_run(int argc, char **argv)
     teamwork_close(&st.team, e, speaks ? code : CMD_FAILURE);
     engine_close(&st.engine);
     network_close(&st.network);
+    lpips_weights_close(&st.lpips);
     return code;
 }

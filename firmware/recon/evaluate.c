@@ -40,6 +40,7 @@ struct bench {
     struct job_result *j;
     const struct imageset *test;
     const struct evaluate_seen *inputs;
+    const struct lpips *lpips; // or NULL
     struct outdir *o;
     struct draw draw;
     struct image truth,
@@ -64,6 +65,7 @@ static void add_score(struct evaluate_score *s, const struct evaluate_score *one
     s->n++;
     s->psnr += (one->psnr - s->psnr) / s->n;
     s->ssim += (one->ssim - s->ssim) / s->n;
+    s->lpips += (one->lpips - s->lpips) / s->n;
 }
 
 /* What does not count becomes the same in both: windows reach over it. */
@@ -74,9 +76,11 @@ static err_t compare_picture(struct bench *b, const struct image *picture, struc
     for (size_t i = 0; i < 3 * n && b->seen; i++)
         if (!b->seen[i % n])
             truth->px[i] = picture->px[i];
-    one->n = 1;
+    *one = (struct evaluate_score){.n = 1, .lpips = NAN};
     err_t e = metrics_psnr(picture, truth, b->seen, &one->psnr);
-    return e ? e : metrics_ssim(picture, truth, b->seen, b->r->tmp, &one->ssim);
+    if (!e)
+        e = metrics_ssim(picture, truth, b->seen, b->r->tmp, &one->ssim);
+    return e || !b->lpips ? e : lpips_run(b->r, b->lpips, picture, truth, &one->lpips);
 }
 
 /* ---- LDR ---- */
@@ -123,16 +127,6 @@ static err_t find_exposure(struct evaluate_result *out, double exposure,
             (size_t)(out->n_exposures++ - i) * sizeof out->exposures[0]);
     out->exposures[i] = (struct evaluate_exposure){.exposure = exposure};
     return OK;
-}
-
-err_t evaluate_check(const struct capture *test)
-{
-    struct evaluate_result seen = {0};
-    struct evaluate_score *score;
-    err_t e = OK;
-    for (int i = 0; i < test->n && !e; i++)
-        e = find_exposure(&seen, test->shots[i].exposure, &score);
-    return e;
 }
 
 static void add_trust(const struct bench *b, struct evaluate_trust *t)
@@ -214,7 +208,7 @@ static err_t measure_ldr(struct bench *b, const struct shot *s, const struct vie
     add_score(&out->ldr, &one);
     add_score(seen ? &out->ldr_seen : &out->ldr_unseen, &one);
     out->pictures[out->n_pictures++] =
-        (struct evaluate_picture){s->name, s->exposure, one.psnr, one.ssim, seen};
+        (struct evaluate_picture){s->name, s->exposure, one.psnr, one.ssim, one.lpips, seen};
     return measure_nearest(b, v);
 }
 
@@ -611,24 +605,59 @@ static err_t layout(struct bench *b, struct arena *tmp, const struct extent *mos
     return e ? e : arena_alloc(tmp, most->at, 1, &b->counts);
 }
 
-static void cover_view(struct prep_size size, int w, int h, struct extent *io)
+static void cover_view(const struct extent *shape, struct extent *io)
 {
-    const struct extent both[2] = {*io, prep_extent(size, w, h)};
+    const struct extent both[2] = {*io, *shape};
     *io = extent_cover(both, 2);
     io->at = num_max_size(both[0].at, extent_pixels(&both[1]));
+}
+
+/* Shapes that a test picture may have as a view; returns their number. */
+static int shapes_of(const struct shot *s, struct prep_size size, struct extent out[2])
+{
+    out[0] = prep_extent(size, s->image.w, s->image.h);
+    if (!lens_distorts(&s->lens))
+        return 1;
+    out[1] = prep_extent(size, s->taken_w, s->taken_h);
+    return 2;
+}
+
+err_t evaluate_check(const struct evaluate_pictures *p)
+{
+    struct evaluate_result seen = {0};
+    struct evaluate_score *score;
+    struct extent shape[2];
+    err_t e = OK;
+    for (int i = 0; i < p->test->n && !e; i++) {
+        const struct shot *s = &p->test->shots[i];
+        e = find_exposure(&seen, s->exposure, &score);
+        for (int k = p->lpips ? shapes_of(s, p->size, shape) : 0; k > 0 && !e; k--)
+            if (lpips_check(p->lpips, shape[k - 1].w, shape[k - 1].h) != OK)
+                e = err_fail(ERR_ARG, "%s: %s", s->name, err_text());
+    }
+    return e;
 }
 
 /* Room for any of the test pictures as a view. */
 static struct extent largest_view(const struct capture *test, struct prep_size size)
 {
-    struct extent out = {0, 0, 0};
-    for (int i = 0; i < test->n; i++) {
-        const struct shot *s = &test->shots[i];
-        cover_view(size, s->image.w, s->image.h, &out);
-        if (lens_distorts(&s->lens))
-            cover_view(size, s->taken_w, s->taken_h, &out);
-    }
+    struct extent out = {0, 0, 0}, shape[2];
+    for (int i = 0; i < test->n; i++)
+        for (int k = shapes_of(&test->shots[i], size, shape); k > 0; k--)
+            cover_view(&shape[k - 1], &out);
     return out;
+}
+
+/* Of any of them; sizes of convolutions do not rise evenly with those of pictures. */
+static void plan_lpips(struct plan *p, const struct evaluate_pictures *e)
+{
+    struct extent shape[2], last = {0, 0, 0};
+    for (int i = 0; i < e->test->n; i++)
+        for (int k = shapes_of(&e->test->shots[i], e->size, shape); k > 0; k--) {
+            if (shape[k - 1].w != last.w || shape[k - 1].h != last.h)
+                lpips_plan(p, e->lpips, shape[k - 1].w, shape[k - 1].h);
+            last = shape[k - 1];
+        }
 }
 
 /* The same for what is drawn for them; of lenses that are yet to be found nothing is known. Where
@@ -647,8 +676,10 @@ static struct extent largest_drawn(const struct capture *test, struct prep_size 
     return (struct extent){side, side, 0};
 }
 
-void evaluate_plan(struct plan *p, const struct capture *test, struct prep_size size, int cap)
+void evaluate_plan(struct plan *p, const struct evaluate_pictures *e, int cap)
 {
+    const struct capture *test = e->test;
+    const struct prep_size size = e->size;
     const size_t keep = arena_mark(&p->keep), tmp = arena_mark(&p->tmp);
     struct extent most = largest_view(test, size);
     const struct extent drawn = largest_drawn(test, size, &most);
@@ -663,15 +694,24 @@ void evaluate_plan(struct plan *p, const struct capture *test, struct prep_size 
         plan_refuse(p);
     prep_plan(p, 1, most.at, prep_largest(test), size.edge);
     arena_step(&p->tmp, metrics_ssim_plan(most.w));
+    if (e->lpips)
+        plan_lpips(p, e);
     arena_reset(&p->keep, keep);
     arena_reset(&p->tmp, tmp);
 }
 
-err_t evaluate_run(const struct run *r, struct job_result *j, const struct imageset *test,
-                   const struct evaluate_seen *inputs, struct outdir *o,
+err_t evaluate_run(const struct run *r, struct job_result *j, const struct evaluate_job *what,
                    struct evaluate_result *out)
 {
-    struct bench b = {.r = r, .j = j, .test = test, .inputs = inputs, .o = o, .out = out};
+    const struct imageset *test = what->test;
+    struct outdir *o = what->o;
+    struct bench b = {.r = r,
+                      .j = j,
+                      .test = test,
+                      .inputs = what->inputs,
+                      .lpips = what->lpips,
+                      .o = o,
+                      .out = out};
     const int n = test->capture.n;
     size_t mark = arena_mark(r->tmp);
     memset(out, 0, sizeof *out);

@@ -4,9 +4,9 @@
  * the lens is drawn and resampled, distort.h), so the pixels do not depend on the lens that was
  * found; what lies beyond DISTORT_ANGLE does not count. Squares are compared undistorted.
  * HDR: both divided by their own 99 % quantile, clipped, mu-law; and in stops. Per image, then the
- * mean over all. Beside it, what a lookup would score: the nearest input view, brought to the
- * exposure of the test picture by the recovered response; without input views (j->views) there is
- * none. */
+ * mean over all; LPIPS where its weights are given. Beside it, what a lookup would score: the
+ * nearest input view, brought to the exposure of the test picture by the recovered response;
+ * without input views (j->views) there is none. */
 #ifndef RECON_EVALUATE_H
 #define RECON_EVALUATE_H
 
@@ -16,12 +16,13 @@
 #include "drivers/format/imageset.h"
 
 #include "core/base/plan.h"
+#include "core/net/lpips.h"
 
 enum { EVALUATE_EXPOSURES = 64 };
 
 struct evaluate_score {
-    int n;             // images
-    double psnr, ssim; // means, dB and 1
+    int n;                    // images
+    double psnr, ssim, lpips; // means, dB, 1 and 1; NAN: not measured
 };
 
 struct evaluate_exposure {
@@ -38,7 +39,7 @@ struct evaluate_trust {
 /* One test picture. */
 struct evaluate_picture {
     const char *name;
-    double exposure, psnr, ssim;
+    double exposure, psnr, ssim, lpips;
     bool seen; // an input photograph has this exposure
 };
 
@@ -55,11 +56,19 @@ struct evaluate_result {
     struct evaluate_exposure exposures[EVALUATE_EXPOSURES]; // ascending
 };
 
-/* err:  ERR_FORMAT (more than EVALUATE_EXPOSURES different exposures). */
-MUST_USE err_t evaluate_check(const struct capture *test);
+/* What is measured at which size; lpips: NULL: none. */
+struct evaluate_pictures {
+    const struct capture *test;
+    struct prep_size size;
+    const struct lpips *lpips;
+};
+
+/* err:  ERR_FORMAT (more than EVALUATE_EXPOSURES different exposures), ERR_ARG (a picture is too
+ *       small for LPIPS). */
+MUST_USE err_t evaluate_check(const struct evaluate_pictures *e);
 
 /* Count what evaluate_run takes. cap: room for Gaussians in the scene. */
-void evaluate_plan(struct plan *p, const struct capture *test, struct prep_size size, int cap);
+void evaluate_plan(struct plan *p, const struct evaluate_pictures *e, int cap);
 
 /* Exposures that input photographs have. */
 struct evaluate_seen {
@@ -70,13 +79,18 @@ struct evaluate_seen {
 /* Add one, if there is none like it; more than there is room for are forgotten. */
 void evaluate_see(struct evaluate_seen *s, float log2t);
 
+struct evaluate_job {
+    const struct imageset *test;
+    const struct evaluate_seen *inputs;
+    const struct lpips *lpips; // or NULL
+    struct outdir *o;          // folder for ldr/NAME.png and hdr/NAME.exr, or NULL
+};
+
 /* Render every view of `test` once and measure all of its exposures, where their masks let them
  * count. Times and warnings go to *j.
- * o:    folder for ldr/NAME.png and hdr/NAME.exr, or NULL.
  * err:  ERR_ARG (a test view without camera, masks of everything), those of evaluate_check, of
  *       reading, drawing and writing, ERR_CANCELLED. */
-MUST_USE err_t evaluate_run(const struct run *r, struct job_result *j, const struct imageset *test,
-                            const struct evaluate_seen *inputs, struct outdir *o,
-                            struct evaluate_result *out);
+MUST_USE err_t evaluate_run(const struct run *r, struct job_result *j,
+                            const struct evaluate_job *what, struct evaluate_result *out);
 
 #endif

@@ -35,6 +35,8 @@ black() { # set photograph...
 }
 
 # what masks of test photographs hide is not measured: inputs and test photographs change places
+echo '{"model": {"lpips": "alexnet"}}' >"$OUT/alexnet.json"
+succeed convert --hashed 1 --config "$OUT/alexnet.json" --out "$OUT/alexnet.hdrig"
 swap=(-e 's/train_/X/' -e 's/test_/train_/' -e 's/X/test_/')
 for set in empty passed; do
     mkdir -p "$OUT/swap_$set/images" "$OUT/swap_$set/masks"
@@ -45,7 +47,8 @@ for set in empty passed; do
         name=$(sed "${swap[@]}" <<<"${path##*/}")
         cp "$path" "$OUT/swap_$set/$(basename "${path%/*}")/$name"
     done
-    figures=(eval --data "$OUT/swap_$set" --model none --refine 0 --size 120)
+    figures=(eval --data "$OUT/swap_$set" --model none --refine 0 --size 120
+        --lpips "$OUT/alexnet.hdrig")
     succeed "${figures[@]}" --json "$OUT/swap_$set.json"
     sed -i '/"seconds": {/,$d' "$OUT/swap_$set.json"
 done

@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
 # The commands of README.md run as printed, in their order, and give the promised results. Stand-ins
-# replace photographs, the released checkpoint (a tiny one), cameras of /dev (simulated), sudo,
-# systemctl and the browser; make only prints its commands. Settings keep sizes small.
+# replace photographs, the released checkpoint (a tiny one), LPIPS of VGG16 (AlexNet of numbers),
+# cameras of /dev (simulated), sudo, systemctl and the browser; make only prints its commands.
+# Settings keep sizes small.
 . tests/e2e/common.bash
 readme=$PWD/README.md root=$PWD tool=$(realpath "$HDRIG") tiny=$PWD/tests/data/ckpt
 sandbox=$(realpath "$OUT")/sandbox bin=$(realpath "$OUT")/bin
@@ -19,6 +20,7 @@ stop_daemon() {
 }
 trap stop_daemon EXIT
 
+echo '{"model": {"lpips": "alexnet"}}' >"$sandbox/alexnet.json"
 stand_in() { # path: its text on stdin
     { echo '#!/usr/bin/env bash' && cat; } >"$1"
     chmod +x "$1"
@@ -28,7 +30,10 @@ stand_in "$sandbox/build/hdrig" <<END
 command=\$1
 shift
 case \$command in
-convert) set -- "\$@" --config "$tiny/tiny.json" ;;
+convert) case "\$*" in
+    *--lpips*) set -- --hashed 1 --config "$sandbox/alexnet.json" --out "\${@: -1}" ;;
+    *) set -- "\$@" --config "$tiny/tiny.json" ;;
+    esac ;;
 simulate) set -- "\$@" --samples 1 ;;
 bench) set -- "\$@" --gaussians 1000 --size 56 ;;
 esac
