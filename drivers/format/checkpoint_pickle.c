@@ -42,8 +42,10 @@ static bool get_counts(const struct pickle *p, const struct pickle_value *v, siz
 bool checkpoint_pickle_storage(const struct pickle *p, const struct pickle_value *v,
                                struct checkpoint_pickle_storage *out)
 {
-    const struct pickle_value *key = v && v->kind == PICKLE_STORAGE ? pickle_item(p, v, 2) : NULL;
-    if (!key || key->kind != PICKLE_TEXT || key->n_text > CHECKPOINT_PICKLE_KEY_MAX)
+    const struct pickle_value *key = v && v->kind == PICKLE_STORAGE ? pickle_item(p, v, 2) : NULL,
+                              *view = key ? pickle_item(p, v, 5) : NULL;
+    if (!key || (view && view->kind != PICKLE_OPAQUE) || key->kind != PICKLE_TEXT ||
+        key->n_text > CHECKPOINT_PICKLE_KEY_MAX)
         return false;
     out->kind = pickle_item(p, v, 1);
     out->key = key->text;
@@ -75,7 +77,7 @@ static err_t get_storage(const struct adding *a, const struct pickle_value *v,
     struct checkpoint_pickle_storage s;
     uint64_t bytes = 0;
     if (!checkpoint_pickle_storage(a->p, v, &s))
-        return bad_tensor(a, t, "has no storage");
+        return bad_tensor(a, t, "has no storage, or one that is part of another");
     t->room = s.count;
     set_type(t, s.kind);
     err_t e = a->job->find(a->job->ctx, &s, t, &bytes);

@@ -19,7 +19,8 @@ struct checkpoint_pickle_storage {
     uint64_t count;                  // elements
 };
 
-/* False if the value is no storage. v may be NULL. */
+/* False if the value is no storage, or part of another one (the older container knows these as a
+ * sixth item that is not None). v may be NULL. */
 bool checkpoint_pickle_storage(const struct pickle *p, const struct pickle_value *v,
                                struct checkpoint_pickle_storage *out);
 

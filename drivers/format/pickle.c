@@ -112,6 +112,13 @@ static err_t pop_value(struct machine *m, int *out)
     return OK;
 }
 
+/* The top value and the one below it. */
+static err_t pop_two(struct machine *m, int *top, int *below)
+{
+    err_t e = pop_value(m, top);
+    return e ? e : pop_value(m, below);
+}
+
 static err_t append_item(struct machine *m, int container, int v)
 {
     struct pickle *p = m->out;
@@ -266,9 +273,7 @@ static err_t global_of_lines(struct machine *m)
 static err_t global_of_stack(struct machine *m)
 {
     int name, module;
-    err_t e = pop_value(m, &name);
-    if (!e)
-        e = pop_value(m, &module);
+    err_t e = pop_two(m, &name, &module);
     if (e)
         return e;
     const struct pickle_value *a = value_at(m, module), *b = value_at(m, name);
@@ -330,9 +335,7 @@ static err_t push_ordered(struct machine *m, const struct pickle_value *list)
 static err_t op_reduce(struct machine *m)
 {
     int args, function;
-    err_t e = pop_value(m, &args);
-    if (!e)
-        e = pop_value(m, &function);
+    err_t e = pop_two(m, &args, &function);
     if (e)
         return e;
     const struct pickle_value given = *value_at(m, args), called = *value_at(m, function);
@@ -359,9 +362,7 @@ static err_t op_reduce(struct machine *m)
 static err_t new_object(struct machine *m)
 {
     int args, class;
-    err_t e = pop_value(m, &args);
-    if (!e)
-        e = pop_value(m, &class);
+    err_t e = pop_two(m, &args, &class);
     if (e)
         return e;
     const struct pickle_value *given = value_at(m, args), of = *value_at(m, class);
@@ -388,9 +389,7 @@ static err_t new_object_ex(struct machine *m)
 static err_t op_build(struct machine *m)
 {
     int state, object;
-    err_t e = pop_value(m, &state);
-    if (!e)
-        e = pop_value(m, &object);
+    err_t e = pop_two(m, &state, &object);
     if (e)
         return e;
     const struct pickle_value given = *value_at(m, state);

@@ -1,7 +1,7 @@
 /* pickle.h - the values of a Python pickle as PyTorch writes it, protocols 2 to 5. Nothing is ever
- * executed: a call becomes a tensor or an empty dictionary if it is one of the few that PyTorch
- * uses for weights, and an opaque value otherwise. Values may contain themselves; nothing here
- * follows them.
+ * executed: a call becomes a tensor or an ordered dictionary (empty, or of a list of pairs as
+ * Python 2 wrote it) if it is one of the few that PyTorch uses or used for weights, and an opaque
+ * value otherwise. Values may contain themselves; nothing here follows them.
  *
  * The reader refuses
  *  1. opcodes that these protocols do not use for data (text numbers, INST, OBJ, EXT, PERSID);

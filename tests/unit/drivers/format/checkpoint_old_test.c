@@ -139,6 +139,10 @@ static void lies_are_refused(void **state)
     refused(TEXT(START), OF(STORAGE("FloatStorage", "K\5")), end, "5 elements in 16 bytes");
     refused(TEXT(START), OF(STORAGE("FloatStorage", "K\3")), end, "beyond its storage");
     refused(TEXT(START), OF(STORAGE("FloatStorage", "N")), end, "whose type is not known");
+    refused(TEXT(START), OF("(U\007storagectorch\nFloatStorage\nU\0010U\3cpuK\4(U\0011K\1K\3ttQ"),
+            end, "whose type is not known");
+    refused(TEXT(START), OF("(U\007storagectorch\nFloatStorage\nU\0010U\3cpuK\4(U\0011K\1K\3ttQ"),
+            TEXT("\x80\2]."), "tensor w: has no storage, or one that is part of another");
     refused(TEXT(START), good, TEXT("\x80\2]."), "tensor w: the file has no storage 0");
     refused(TEXT(START), good, TEXT("\x80\2U\0010."), "no list of storages");
     refused(TEXT(START), good, TEXT("\x80\2]K\0a."), "whose type is not known");
