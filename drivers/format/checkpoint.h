@@ -27,8 +27,8 @@
 
 #include "drivers/format/checkpoint_tensors.h"
 
-/* owner: "encoder." for weights of the network, "" leaves names as they are. It and `path` must
- * live as long as *out.
+/* owner: "encoder." for weights of the network, "" leaves names as they are; at most
+ * CHECKPOINT_OWNER_MAX characters. It and `path` must live as long as *out.
  * own:  checkpoint_close.
  * err:  ERR_IO, ERR_FORMAT, ERR_LIMIT (also: above CHECKPOINT_PARTS_MAX files),
  *       ERR_NOMEM. On error *out is zeroed. */

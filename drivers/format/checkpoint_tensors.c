@@ -8,7 +8,10 @@
 static const char *const wrappers[] = {"module.", "_orig_mod.", "_checkpoint_wrapped_module.",
                                        "_fsdp_wrapped_module."};
 
-enum { N_WRAPPERS = sizeof wrappers / sizeof *wrappers };
+enum {
+    N_WRAPPERS = sizeof wrappers / sizeof *wrappers,
+    OWN_MAX = CHECKPOINT_NAME_CAP - 1 - CHECKPOINT_OWNER_MAX // of a name in the file
+};
 
 static size_t prefix_bytes(const char *s, size_t n, const char *with)
 {
@@ -31,9 +34,9 @@ err_t checkpoint_tensors_name(const struct checkpoint *c, const char *what, stru
     const char *p = (const char *)text.p;
     const size_t n = text.left, owner = strlen(c->owner);
     size_t to = 0;
-    if (n > CHECKPOINT_NAME_CAP - 9)
+    if (n > OWN_MAX)
         return err_fail(ERR_FORMAT, "%s: tensor %.*s...: name of %zu bytes, at most %d are read",
-                        what, 64, p, n, CHECKPOINT_NAME_CAP - 9);
+                        what, 64, p, n, OWN_MAX);
     for (size_t i = 0; i < n; i++)
         if (text.p[i] < 0x20)
             return err_fail(ERR_FORMAT, "%s: a tensor name holds the character 0x%02x", what,

@@ -10,6 +10,7 @@
 
 enum {
     CHECKPOINT_NAME_CAP = 160,
+    CHECKPOINT_OWNER_MAX = 8, // characters
     CHECKPOINT_KIND_CAP = 32,
     CHECKPOINT_RANK_MAX = 8,
     CHECKPOINT_PARTS_MAX = 256
@@ -37,7 +38,7 @@ struct checkpoint_part {
 
 struct checkpoint {
     const char *what;  // begins the sentences; not owned
-    const char *owner; // prefix of all names, not owned
+    const char *owner; // prefix of all names, at most CHECKPOINT_OWNER_MAX; not owned
     int n_parts;
     struct checkpoint_part *parts; // (n_parts) by path
     int n;
