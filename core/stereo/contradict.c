@@ -21,7 +21,8 @@ enum {
     RADIUS = 3,  // px, of the window
     WINDOW = (2 * RADIUS + 1) * (2 * RADIUS + 1),
     KNOWN = WINDOW * 3 / 5, // pixels of a window that must be comparable
-    FEW = 2000              // less than 1 contradiction in so many px is chance
+    FEW = 500,              // less than 1 contradiction of a view in so many px is chance,
+    FEW_OF_ALL = 8000       // of all in so many px of theirs
 };
 
 static const float WEIGHT = 0.3f;      // least reliability of light (response.h)
@@ -365,7 +366,7 @@ static void judge_views(const struct comparison *c, struct contradict *out)
             all.contrary += sum.contrary;
         }
     }
-    if ((size_t)all.contrary * FEW > extent_total(c->d->extent, c->d->n) / 4)
+    if ((size_t)all.contrary * FEW_OF_ALL > extent_total(c->d->extent, c->d->n))
         out->median = num_median(c->sort, (size_t)n);
 }
 
