@@ -23,6 +23,7 @@
 enum {
     POLL_MS = 100,
     SLOW_BYTES = 1000, // a second
+    CONNECTIONS = 64,  // that are kept
     HEAD_MAX = 1 << 15,
     READ_BYTES = 1 << 18
 };
@@ -461,29 +462,28 @@ static err_t make_headers(struct fetcher *f)
     return f->headers ? OK : err_fail(ERR_NOMEM, "transfers: no memory");
 }
 
+/* Kept from one call to the next, with their connections. */
 static err_t open_handles(struct fetcher *f)
 {
-    f->multi = curl_multi_init();
-    err_t e = f->multi ? make_headers(f) : err_fail(ERR_NOMEM, "transfers: no memory");
-    for (int i = 0; i < f->cfg->parallel && !e; i++) {
-        f->slot[i].curl = curl_easy_init();
-        if (!f->slot[i].curl)
-            e = err_fail(ERR_NOMEM, "transfers: no memory");
+    for (int i = 0; i < f->cfg->parallel; i++) {
+        struct transfer *t = &f->slot[i];
+        t->curl = t->curl ? t->curl : curl_easy_init();
+        if (!t->curl)
+            return err_fail(ERR_NOMEM, "transfers: no memory");
     }
-    return e;
+    return OK;
 }
 
-static void close_handles(struct fetcher *f)
+/* What is still under way breaks off. */
+static void end_call(struct fetcher *f)
 {
     for (int i = 0; i < FETCH_PARALLEL_MAX; i++) {
-        struct transfer *t = &f->slot[i];
-        if (t->curl)
-            curl_multi_remove_handle(f->multi, t->curl);
-        curl_easy_cleanup(t->curl);
-        free_slot(t);
+        if (f->slot[i].curl)
+            curl_multi_remove_handle(f->multi, f->slot[i].curl);
+        free_slot(&f->slot[i]);
     }
-    curl_multi_cleanup(f->multi);
     curl_slist_free_all(f->headers);
+    f->headers = NULL;
 }
 
 static void init_library(void)
@@ -491,29 +491,55 @@ static void init_library(void)
     curl_global_init(CURL_GLOBAL_DEFAULT);
 }
 
-err_t fetch_files(const struct fetch_config *cfg, const struct fetch_item *items, int n)
+err_t fetch_open(struct fetcher **out)
 {
     static pthread_once_t once = PTHREAD_ONCE_INIT;
+    pthread_once(&once, init_library);
+    struct fetcher *f = calloc(1, sizeof *f);
+    *out = f;
+    if (f)
+        f->multi = curl_multi_init();
+    if (!f || !f->multi) {
+        free(f);
+        *out = NULL;
+        return err_fail(ERR_NOMEM, "transfers: no memory");
+    }
+    curl_multi_setopt(f->multi, CURLMOPT_MAXCONNECTS, (long)CONNECTIONS);
+    for (int i = 0; i < FETCH_PARALLEL_MAX; i++)
+        f->slot[i] = (struct transfer){.f = f, .fd = -1};
+    return OK;
+}
+
+void fetch_close(struct fetcher *f)
+{
+    if (!f)
+        return;
+    for (int i = 0; i < FETCH_PARALLEL_MAX; i++)
+        curl_easy_cleanup(f->slot[i].curl);
+    curl_multi_cleanup(f->multi);
+    free(f);
+}
+
+err_t fetch_files(struct fetcher *f, const struct fetch_config *cfg, const struct fetch_item *items,
+                  int n)
+{
     err_t e = check_config(cfg);
     for (int i = 0; i < n && !e; i++)
         e = check_item(&items[i]);
     if (e)
         return e;
-    pthread_once(&once, init_library);
-    struct fetcher *f = calloc(1, sizeof *f);
-    if (!f)
-        return err_fail(ERR_NOMEM, "transfers: no memory");
     f->cfg = cfg;
+    f->busy = 0;
+    f->done = f->told = f->all = 0;
     for (int i = 0; i < n; i++)
         f->all += items[i].bytes;
-    for (int i = 0; i < FETCH_PARALLEL_MAX; i++)
-        f->slot[i] = (struct transfer){.f = f, .fd = -1};
-    e = open_handles(f);
+    e = make_headers(f);
+    if (!e)
+        e = open_handles(f);
     if (!e)
         e = run_transfers(f, items, n);
     if (!e)
         e = sync_folders(items, n);
-    close_handles(f);
-    free(f);
+    end_call(f);
     return e;
 }

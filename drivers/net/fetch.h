@@ -4,7 +4,7 @@
  * into the files that were named.
  * A file is whole, proved and on the medium when fetch_files returns OK; after an error some are
  * not, and the next call continues them.
- * SIGPIPE must be ignored. thread: any; fetch_files blocks. */
+ * SIGPIPE must be ignored. thread: any, one at a time for one fetcher; fetch_files blocks. */
 #ifndef NET_FETCH_H
 #define NET_FETCH_H
 
@@ -31,12 +31,23 @@ struct fetch_config {
     void *ctx;
 };
 
+/* Keeps connections from one call to the next, until the other side ends them: a new one costs a
+ * round trip, and a second where its first packet is lost (RFC 6298). */
+struct fetcher;
+
+/* own: fetch_close. err: ERR_NOMEM */
+MUST_USE err_t fetch_open(struct fetcher **out);
+
+/* Accepts NULL. */
+void fetch_close(struct fetcher *f);
+
 /* A file that is there is kept if its hash is right; a shorter one is continued; anything else, and
  * one whose hash is wrong after that, is fetched from the start.
  * err:  ERR_ARG (an item, parallel, or the token is refused), ERR_LOST (no connection, or it broke
  *       off), ERR_TIMEOUT (connecting, stall), ERR_BUSY (the server says so), ERR_FORMAT (other
  *       bytes than announced), ERR_LIMIT (no space), ERR_IO (no such file there, other refusals,
  *       disk), ERR_NOMEM, ERR_CANCELLED. The first error ends all transfers. */
-MUST_USE err_t fetch_files(const struct fetch_config *cfg, const struct fetch_item *items, int n);
+MUST_USE err_t fetch_files(struct fetcher *f, const struct fetch_config *cfg,
+                           const struct fetch_item *items, int n);
 
 #endif

@@ -29,6 +29,7 @@ struct queue {
 struct tasks {
     struct store *store;
     const char *path;
+    struct fetcher *fetcher;
     pthread_t thread;
     pthread_mutex_t lock;
     pthread_cond_t work;
@@ -158,8 +159,8 @@ static err_t fetch_listed(struct tasks *t, const struct task *k, const struct fe
     if (!e)
         e = list_wanted(k, dir, m, &w);
     if (!e)
-        e = fetch_files(cfg, w.items, w.n_needed);
-    if (!e && fetch_files(&quiet, w.items + w.n_needed, w.n - w.n_needed) != OK)
+        e = fetch_files(t->fetcher, cfg, w.items, w.n_needed);
+    if (!e && fetch_files(t->fetcher, &quiet, w.items + w.n_needed, w.n - w.n_needed) != OK)
         log_warn("%s: take %s goes without thumbnails of it: %s", k->member, k->take, err_text());
     free(w.items);
     free(w.text);
@@ -188,7 +189,7 @@ static err_t fetch(struct tasks *t, struct task *k)
         e = err_fail(ERR_FORMAT, "%s: a manifest of %lld bytes", k->member,
                      (long long)k->part.bytes);
     if (!e)
-        e = fetch_files(&cfg, &item, 1);
+        e = fetch_files(t->fetcher, &cfg, &item, 1);
     if (!e)
         e = fetch_listed(t, k, &cfg);
     return e ? e : read_starts(t, k);
@@ -301,16 +302,21 @@ err_t tasks_open(const char *name, struct store *s, const char *store_path, stru
     t->path = store_path;
     t->in.last = &t->in.first;
     t->out.last = &t->out.first;
-    t->fd = eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK);
-    if (t->fd < 0) {
+    err_t e = fetch_open(&t->fetcher);
+    t->fd = e ? -1 : eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK);
+    if (!e && t->fd < 0)
+        e = err_fail(ERR_IO, "%s: eventfd: %s", name, strerror(errno));
+    if (e) {
+        fetch_close(t->fetcher);
         free(t);
-        return err_fail(ERR_IO, "%s: eventfd: %s", name, strerror(errno));
+        return e;
     }
     pthread_mutex_init(&t->lock, NULL);
     pthread_cond_init(&t->work, NULL);
     int why = pthread_create(&t->thread, NULL, run_tasks, t);
     if (why) {
         close(t->fd);
+        fetch_close(t->fetcher);
         free(t);
         return err_fail(ERR_NOMEM, "%s: cannot start its thread: %s", name, strerror(why));
     }
@@ -333,6 +339,7 @@ void tasks_close(struct tasks *t)
     pthread_cond_destroy(&t->work);
     pthread_mutex_destroy(&t->lock);
     close(t->fd);
+    fetch_close(t->fetcher);
     free(t);
 }
 

@@ -31,7 +31,8 @@ enum manner {
     OTHER_RANGE, // one byte further than asked
     OTHER_BYTES, // the last one is wrong
     HEADERS,     // without end
-    NOISE        // is no HTTP
+    NOISE,       // is no HTTP
+    BRIEF        // ends the connection after its answer, unannounced
 };
 
 static struct {
@@ -47,6 +48,7 @@ static struct {
 static uint8_t content[BYTES];
 static char hash[SHA256_HEX_CAP], url[64];
 static const char *path;
+static struct fetcher *fetcher;
 
 /* ---- the server ---- */
 
@@ -134,7 +136,7 @@ static bool answer(int fd, const char *request)
         send_all(fd, "hello\r\n\r\nhello\r\n", 16);
         return false;
     default:
-        return send_part(fd, from, part);
+        return send_part(fd, from, part) && server.manner != BRIEF;
     }
 }
 
@@ -208,12 +210,14 @@ static int set_up(void **state)
         abort();
     snprintf(url, sizeof url, "http://127.0.0.1:%d/file", server.port);
     path = tmpdir_path("file");
+    expect_ok(fetch_open(&fetcher));
     return 0;
 }
 
 static int tear_down(void **state)
 {
     (void)state;
+    fetch_close(fetcher);
     shutdown(server.listener, SHUT_RDWR);
     pthread_join(server.thread, NULL);
     close(server.listener);
@@ -230,7 +234,7 @@ static const struct fetch_config plain = {.parallel = 2, .stall_s = 1};
 static err_t fetch_one(void)
 {
     const struct fetch_item item = {url, path, BYTES, hash};
-    return fetch_files(&plain, &item, 1);
+    return fetch_files(fetcher, &plain, &item, 1);
 }
 
 static long size_of_file(void)
@@ -396,11 +400,11 @@ static void cancelled(void **state)
     server.manner = STALLED;
     if (pthread_create(&t, NULL, cancel_soon, &cancel) != 0)
         abort();
-    expect_err(fetch_files(&c, &item, 1), ERR_CANCELLED, "cancelled");
+    expect_err(fetch_files(fetcher, &c, &item, 1), ERR_CANCELLED, "cancelled");
     pthread_join(t, NULL);
     assert_int_equal(size_of_file(), BEGIN);
     server.requests = 0;
-    expect_err(fetch_files(&c, &item, 1), ERR_CANCELLED, "cancelled");
+    expect_err(fetch_files(fetcher, &c, &item, 1), ERR_CANCELLED, "cancelled");
     assert_int_equal(server.requests, 0);
 }
 
@@ -430,7 +434,7 @@ static void many_files(void **state)
         snprintf(paths[i], sizeof paths[i], "%s", tmpdir_path(name));
         items[i] = (struct fetch_item){url, paths[i], i % 4 ? BYTES : 0, i % 4 ? hash : nothing};
     }
-    expect_ok(fetch_files(&c, items, N));
+    expect_ok(fetch_files(fetcher, &c, items, N));
     for (int i = 0; i < N; i++)
         expect_file(paths[i], content, i % 4 ? BYTES : 0);
     assert_int_equal(server.requests, 30); // none for an empty file
@@ -441,14 +445,37 @@ static void many_files(void **state)
 
     c.parallel = 1;
     unlink(paths[1]);
-    expect_ok(fetch_files(&c, items, N));
-    assert_non_null(strstr(server.request, "\r\nAuthorization: Bearer secret\r\n"));
+    expect_ok(fetch_files(fetcher, &c, items, N));
+    assert_int_equal(server.requests, 31);
+    assert_true(server.connections <= 4); // kept
     server.manner = OTHER_BYTES;
     unlink(paths[1]);
     unlink(paths[2]);
     c.parallel = 4;
-    expect_err(fetch_files(&c, items, N), ERR_FORMAT, "wrong SHA-256");
+    expect_err(fetch_files(fetcher, &c, items, N), ERR_FORMAT, "wrong SHA-256");
     assert_null(strstr(err_text(), "secret"));
+}
+
+static void connections_are_kept(void **state)
+{
+    const struct fetch_config c = {.token = "secret", .parallel = 4};
+    const struct fetch_item item = {url, path, BYTES, hash};
+    (void)state;
+    for (int i = 0; i < 3; i++) {
+        server.request[0] = 0;
+        expect_ok(fetch_files(fetcher, &c, &item, 1));
+        assert_non_null(strstr(server.request, "\r\nAuthorization: Bearer secret\r\n"));
+        unlink(path);
+    }
+    assert_int_equal(server.connections, 1);
+    server.manner = BRIEF;
+    for (int i = 0; i < 3; i++) {
+        expect_ok(fetch_one());
+        expect_file(path, content, BYTES);
+        unlink(path);
+    }
+    assert_int_equal(server.connections, 3);
+    assert_int_equal(server.requests, 6);
 }
 
 static void what_is_no_request(void **state)
@@ -456,39 +483,39 @@ static void what_is_no_request(void **state)
     (void)state;
     struct fetch_config c = plain;
     struct fetch_item item = {url, path, BYTES, hash};
-    expect_ok(fetch_files(&c, NULL, 0));
+    expect_ok(fetch_files(fetcher, &c, NULL, 0));
     for (int k = 0; k < 18; k += 17) {
         c.parallel = k;
-        expect_err(fetch_files(&c, &item, 1), ERR_ARG, "1 to 16");
+        expect_err(fetch_files(fetcher, &c, &item, 1), ERR_ARG, "1 to 16");
     }
     c.parallel = 1;
     c.token = "a\r\nX: b";
-    expect_err(fetch_files(&c, &item, 1), ERR_ARG, "token");
+    expect_err(fetch_files(fetcher, &c, &item, 1), ERR_ARG, "token");
     c.token = NULL;
     static const char *const hashes[] = {"", "12", "x"};
     for (int i = 0; i < 3; i++) {
         item.sha256 = hashes[i];
-        expect_err(fetch_files(&c, &item, 1), ERR_ARG, "64 hexadecimal");
+        expect_err(fetch_files(fetcher, &c, &item, 1), ERR_ARG, "64 hexadecimal");
     }
     item.sha256 = hash;
     static const char *const urls[] = {"file:///etc/passwd", "ftp://127.0.0.1/", "", "127.0.0.1"};
     for (int i = 0; i < 4; i++) {
         item.url = urls[i];
-        expect_err(fetch_files(&c, &item, 1), ERR_ARG, "neither http");
+        expect_err(fetch_files(fetcher, &c, &item, 1), ERR_ARG, "neither http");
     }
     item.url = "http://";
-    expect_err(fetch_files(&c, &item, 1), ERR_ARG, "http://");
+    expect_err(fetch_files(fetcher, &c, &item, 1), ERR_ARG, "http://");
     item.url = url;
     item.path = tmpdir_path("no/folder");
-    expect_err(fetch_files(&c, &item, 1), ERR_IO, "no/folder");
+    expect_err(fetch_files(fetcher, &c, &item, 1), ERR_IO, "no/folder");
     item.path = tmpdir_root;
-    expect_err(fetch_files(&c, &item, 1), ERR_IO, tmpdir_root);
+    expect_err(fetch_files(fetcher, &c, &item, 1), ERR_IO, tmpdir_root);
     assert_int_equal(symlink(path, tmpdir_path("link")), 0);
     item.path = tmpdir_path("link");
-    expect_err(fetch_files(&c, &item, 1), ERR_IO, "link");
+    expect_err(fetch_files(fetcher, &c, &item, 1), ERR_IO, "link");
     assert_int_equal(mkfifo(tmpdir_path("pipe"), 0600), 0);
     item.path = tmpdir_path("pipe");
-    expect_err(fetch_files(&c, &item, 1), ERR_ARG, "no regular file");
+    expect_err(fetch_files(fetcher, &c, &item, 1), ERR_ARG, "no regular file");
 }
 
 /* The environment of a service has no say in where files come from. */
@@ -538,16 +565,16 @@ static void parts_of_the_status_page(void **state)
     if (pthread_create(&t, NULL, serve_page, NULL) != 0)
         abort();
     snprintf(url, sizeof url, "http://127.0.0.1:%d/parts/b-1/frame", http_port(page));
-    err_t whole = fetch_files(&c, &item, 1);
+    err_t whole = fetch_files(fetcher, &c, &item, 1);
     tmpdir_write("file", content, 1234);
-    err_t rest = fetch_files(&c, &item, 1);
+    err_t rest = fetch_files(fetcher, &c, &item, 1);
     expect_file(path, content, BYTES);
     tmpdir_write("file", content, 10);
     c.token = "other";
-    err_t refused = fetch_files(&c, &item, 1);
+    err_t refused = fetch_files(fetcher, &c, &item, 1);
     c.token = "rig";
     tmpdir_text("captures/b-1/frame", "short");
-    err_t gone = fetch_files(&c, &item, 1);
+    err_t gone = fetch_files(fetcher, &c, &item, 1);
     page_ends = true;
     pthread_join(t, NULL);
     http_close(page);
@@ -569,6 +596,7 @@ int main(void)
         cmocka_unit_test_setup_teardown(servers_that_stall, set_up, tear_down),
         cmocka_unit_test_setup_teardown(cancelled, set_up, tear_down),
         cmocka_unit_test_setup_teardown(many_files, set_up, tear_down),
+        cmocka_unit_test_setup_teardown(connections_are_kept, set_up, tear_down),
         cmocka_unit_test_setup_teardown(what_is_no_request, set_up, tear_down),
         cmocka_unit_test_setup_teardown(no_proxy, set_up, tear_down),
         cmocka_unit_test_setup_teardown(parts_of_the_status_page, set_up, tear_down),
