@@ -341,7 +341,8 @@ test: deps-check
 lint: deps-check
 	@tests/check.sh lint
 
-check-kernel: deps-kernel $(TOOLS) $(MODULE) $(call programs,$(LINUX))
+check-kernel: deps-kernel deps-check $(TOOLS) $(MODULE) $(call programs,$(LINUX)) \
+	$(B)/tests/e2e/verify_take
 	@tests/linux/run.sh $(B)/tests/linux $(TEST)
 
 check-rig: deps-check all $(B)/tests/e2e/verify_take

@@ -4,6 +4,7 @@
 # where that cannot be built or does not run, Debian's kernel under QEMU, whose clock counts
 # instructions. BENCH=uml or BENCH=qemu chooses one. FOLDER has the programs built from
 # tests/linux/*.c.
+# Settings of a test come from the environment: those of tests/rig.
 # One line per test: seconds of the machine, and of one processor. Its log is
 # build/log/kernel_TEST.log, whose end is shown when the test fails.
 set -u
@@ -27,12 +28,19 @@ is_real_time() { # script
     [ "$bench" = uml ] && grep -q '^# Real time' "$1"
 }
 
+# Words of the command line, which are the environment of the first process.
+settings=()
+for name in MEMBERS TAKES FAULTS FPS SIZE LINK RATE SKEW SEED; do
+    [ -z "${!name-}" ] || settings+=("$name=\"${!name}\"")
+done
+
 boot_uml() { # script parameters-of-the-kernel
     local time="time-travel=inf-cpu time-travel-start=1700000000000000000"
+    local mb=$((512 + 24 * ${MEMBERS:-0}))
     ! is_real_time "$1" || time=
     shift
-    TMPDIR=$memory timeout -k 5 "$limit" "$made/linux" mem=512M $time rootfstype=hostfs \
-        rootflags=/ ro init="$guest/init.sh" con=null con0=null,fd:1 "$@"
+    TMPDIR=$memory timeout -k 5 "$limit" "$made/linux" mem=${mb}M $time \
+        rootfstype=hostfs rootflags=/ ro init="$guest/init.sh" con=null con0=null,fd:1 "$@"
 }
 
 # An instruction takes 1 ns, a wait nothing.
@@ -47,7 +55,7 @@ boot_qemu() { # script parameters-of-the-kernel
 
 boot() { # bench script
     "boot_$1" "$2" quiet loglevel=3 BENCH="$1" TEST="$2" BIN="$bin" MODULES="$made" \
-        </dev/null 2>&1 | tr -d '\r'
+        "${settings[@]}" </dev/null 2>&1 | tr -d '\r'
 }
 
 # Whether that bench is here and boots.

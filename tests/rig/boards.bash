@@ -4,6 +4,8 @@
 DAEMON=${HDRIG%/*}/hdrigd
 BROKER=/usr/sbin/mosquitto
 SPACES=${SPACES-}
+CLOCKS=$SPACES # whether each has a monotonic clock of its own; not every kernel can
+[ -e /proc/self/ns/time ] || CLOCKS=
 SIZE=${SIZE:-56}
 FPS=${FPS:-30}
 MORE=${MORE-}       # options of the cameras
@@ -12,6 +14,7 @@ RATE=${RATE:-1gbit}
 link=
 BASE=$((10000 + $$ % 160 * 140)) # below those that the kernel gives away
 tag=hd$$
+: >"$OUT/offsets.txt" # of the boards' clocks
 declare -A pid port address
 
 [ -x $BROKER ] || { echo "not checked: $BROKER is not installed"; exit 1; }
@@ -95,8 +98,8 @@ camera() { # view of views
 board() { # name: starts it
     local shift own=() in
     inside "$1"
-    if [ -n "$SPACES" ]; then
-        shift=$(grep "^$1 " "$OUT/offsets.txt" 2>/dev/null | cut -d' ' -f2)
+    if [ -n "$CLOCKS" ]; then
+        shift=$(grep "^$1 " "$OUT/offsets.txt" | cut -d' ' -f2)
         [ -n "$shift" ] || { shift=$((RANDOM * 30 + 1)); echo "$1 $shift" >>"$OUT/offsets.txt"; }
         own=(unshare -T --monotonic $shift --boottime $shift)
     fi
