@@ -29,7 +29,7 @@ struct queue {
 struct tasks {
     struct store *store;
     const char *path;
-    struct fetcher *fetcher;
+    struct fetcher *fetcher; // of the thread, once it has fetched
     pthread_t thread;
     pthread_mutex_t lock;
     pthread_cond_t work;
@@ -188,6 +188,8 @@ static err_t fetch(struct tasks *t, struct task *k)
     if (!e && k->part.bytes > JSON_BYTES_MAX)
         e = err_fail(ERR_FORMAT, "%s: a manifest of %lld bytes", k->member,
                      (long long)k->part.bytes);
+    if (!e && !t->fetcher)
+        e = fetch_open(&t->fetcher);
     if (!e)
         e = fetch_files(t->fetcher, &cfg, &item, 1);
     if (!e)
@@ -302,21 +304,16 @@ err_t tasks_open(const char *name, struct store *s, const char *store_path, stru
     t->path = store_path;
     t->in.last = &t->in.first;
     t->out.last = &t->out.first;
-    err_t e = fetch_open(&t->fetcher);
-    t->fd = e ? -1 : eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK);
-    if (!e && t->fd < 0)
-        e = err_fail(ERR_IO, "%s: eventfd: %s", name, strerror(errno));
-    if (e) {
-        fetch_close(t->fetcher);
+    t->fd = eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK);
+    if (t->fd < 0) {
         free(t);
-        return e;
+        return err_fail(ERR_IO, "%s: eventfd: %s", name, strerror(errno));
     }
     pthread_mutex_init(&t->lock, NULL);
     pthread_cond_init(&t->work, NULL);
     int why = pthread_create(&t->thread, NULL, run_tasks, t);
     if (why) {
         close(t->fd);
-        fetch_close(t->fetcher);
         free(t);
         return err_fail(ERR_NOMEM, "%s: cannot start its thread: %s", name, strerror(why));
     }

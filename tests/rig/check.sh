@@ -206,7 +206,7 @@ if [ "$FAULTS" -gt 0 ]; then
         "and $leaders conductors killed, $full disks full; $told told of a joint take," \
         "$((FAULTS - told)) of a reason"
     grep -v "$OUT/hub/store" "$OUT/faults.txt" | cut -d' ' -f3- | sed 's/\bb[0-9][0-9]*/bN/g' |
-        sed 's/[0-9.]* \(m*s\)/N \1/' | sort | uniq -c | sort -rn | head -n 12
+        sed 's/[0-9.][0-9.]* \(m*s\)/N \1/' | sort | uniq -c | sort -rn | head -n 12
 fi
 n=0
 for m in $(joints); do
