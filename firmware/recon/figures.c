@@ -439,8 +439,8 @@ static void warn_views(struct job_result *j)
             !figures_blank(&j->views, i))
             job_result_warn(
                 j,
-                "%s fits the scene %.0f dB worse than the others: something moved, or its "
-                "exposure is wrong; take it again",
+                "%s fits the scene %.0f dB worse than the others: something moved, it shows what "
+                "no other shows, or its exposure is wrong; take it again, or more beside it",
                 j->views.names[i], median - (double)j->input_db[i]);
 }
 
