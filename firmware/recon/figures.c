@@ -440,7 +440,7 @@ static void warn_views(struct job_result *j)
             job_result_warn(
                 j,
                 "%s fits the scene %.0f dB worse than the others: something moved, it shows what "
-                "no other shows, or its exposure is wrong; take it again, or more beside it",
+                "no other shows, or its exposure is wrong; take it again",
                 j->views.names[i], median - (double)j->input_db[i]);
 }
 
