@@ -496,17 +496,17 @@ err_t fetch_open(struct fetcher **out)
     static pthread_once_t once = PTHREAD_ONCE_INIT;
     pthread_once(&once, init_library);
     struct fetcher *f = calloc(1, sizeof *f);
-    *out = f;
-    if (f)
-        f->multi = curl_multi_init();
-    if (!f || !f->multi) {
+    CURLM *multi = f ? curl_multi_init() : NULL;
+    *out = NULL;
+    if (!multi) {
         free(f);
-        *out = NULL;
         return err_fail(ERR_NOMEM, "transfers: no memory");
     }
-    curl_multi_setopt(f->multi, CURLMOPT_MAXCONNECTS, (long)CONNECTIONS);
+    f->multi = multi;
+    curl_multi_setopt(multi, CURLMOPT_MAXCONNECTS, (long)CONNECTIONS);
     for (int i = 0; i < FETCH_PARALLEL_MAX; i++)
         f->slot[i] = (struct transfer){.f = f, .fd = -1};
+    *out = f;
     return OK;
 }
 

@@ -36,7 +36,7 @@ done
 
 boot_uml() { # script parameters-of-the-kernel
     local time="time-travel=inf-cpu time-travel-start=1700000000000000000"
-    local mb=$((512 + 24 * ${MEMBERS:-0}))
+    local mb=$((512 + 24 * ${MEMBERS:-0})) # a board takes 21 MB
     ! is_real_time "$1" || time=
     shift
     TMPDIR=$memory timeout -k 5 "$limit" "$made/linux" mem=${mb}M $time \
