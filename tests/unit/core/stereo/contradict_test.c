@@ -10,6 +10,7 @@
 #include <setjmp.h>
 #include <stdarg.h>
 #include <stddef.h>
+#include <stdlib.h>
 #include <string.h>
 
 #include <cmocka.h>
@@ -222,6 +223,20 @@ static void test_what_is_masked_proves_nothing(void **state)
     assert_true(w.found.of_view[3] == 0);
 }
 
+/* All but a small part of what the others show is masked. */
+static void test_few_samples_may_be_chance(void **state)
+{
+    (void)state;
+    misplace(3);
+    w.views.masked = w.masked;
+    for (int k = 0; k < VIEWS * PX; k++)
+        w.masked[k] =
+            k / PX != 3 && (abs(k % PX / SIZE - SIZE / 2) >= 5 || k % SIZE > 3 * SIZE / 8);
+    judge();
+    assert_true(w.found.of_view[3] > CONTRADICT_VIEW);
+    assert_wrong(-1);
+}
+
 static void test_threads_do_not_matter(void **state)
 {
     (void)state;
@@ -260,6 +275,7 @@ int main(void)
                                         teardown),
         cmocka_unit_test_setup_teardown(test_a_wrong_depth_alone_does_not, setup, teardown),
         cmocka_unit_test_setup_teardown(test_what_is_masked_proves_nothing, setup, teardown),
+        cmocka_unit_test_setup_teardown(test_few_samples_may_be_chance, setup, teardown),
         cmocka_unit_test_setup_teardown(test_threads_do_not_matter, setup, teardown),
         cmocka_unit_test_setup_teardown(test_the_plan_is_what_it_takes, setup, teardown),
     };
