@@ -21,6 +21,7 @@ enum {
 
 /* Constants of core/splat/README.md 2 and 3. */
 #define RASTER_NEAR 1e-10f
+#define RASTER_REACH 3.0f // standard deviations that a splat reaches
 #define RASTER_FAR 1e10f
 #define RASTER_BLUR 0.3f // px^2 added to both diagonal entries
 #define RASTER_ALPHA_MAX 0.999f

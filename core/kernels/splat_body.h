@@ -78,6 +78,10 @@ MAP void proj_load(struct proj *o, const struct gaussians *g, const struct view_
         }
     o->cx = v_clamp(o->p[0] * o->rz, -v->lim_x0, v->lim_x1);
     o->cy = v_clamp(o->p[1] * o->rz, -v->lim_y0, v->lim_y1);
+    vf zz = v_set(0.0f); // variance along the view
+    for (int c = 0; c < 3; c++)
+        zz = v_fma(o->w[6 + c] * o->s[c], o->w[6 + c] * o->s[c], zz);
+    o->seen = m_and(o->seen, v_le(v_set(RASTER_REACH * RASTER_REACH) * zz, o->p[2] * o->p[2]));
     o->j00 = v_set(v->fx) * o->rz;
     o->j11 = v_set(v->fy) * o->rz;
     o->j02 = v_set(0.0f) - o->j00 * o->cx;
@@ -187,7 +191,7 @@ MAP int project_lanes(const struct gaussians *g, const struct view_geom *v, int 
     alive = m_and(alive, v_le(v_set(0.0f), reach));
     vf half = v_set(0.5f) * (o.xx - o.yy);
     vf root = v_sqrt(v_max(half * half + o.xy * o.xy, v_set(0.01f)));
-    vf r = v_sqrt(v_set(0.5f) * (o.xx + o.yy) + root) * v_set(3.0f);
+    vf r = v_sqrt(v_set(0.5f) * (o.xx + o.yy) + root) * v_set(RASTER_REACH);
     r = v_set(0.0f) - v_floor(v_set(0.0f) - r);
     vf u = v_fma(v_set(v->fx), o.p[0] * o.rz, v_set(v->cx));
     vf w = v_fma(v_set(v->fy), o.p[1] * o.rz, v_set(v->cy));

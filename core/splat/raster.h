@@ -1,6 +1,7 @@
 /* raster.h - pictures of Gaussians: forward, and the gradient of a loss on the picture.
  * Equal to gsplat 1.4.0 with the options of the release (core/splat/README.md 2 and 3), up to float
- * rounding near its thresholds.
+ * rounding near its thresholds, but for splats that reach RASTER_REACH deviations behind the
+ * camera: these are not drawn.
  * Invariant: the result depends only on the input, never on the number of threads.
  * Nothing is allocated after raster_init: when splats cover more tiles than planned, the picture
  * is made in several groups of tiles.

@@ -41,9 +41,11 @@ static const float FAR_WIDTH = 0.8f;  // of the shell, behind which there is not
 static const float FAR_OPACITY = 0.98f;
 static const float THICKNESS = 0.15f; // standard deviation across the surface per spacing
 static const float TILT_MIN = 0.25f;  // cosine of the steepest surface
+static const float CLEAR = 4.0f;      // standard deviations around a camera where nothing is
 
 struct frame {
     float r[9], t[3]; // world to camera
+    float centre[3];
     float f[2], c[2]; // px of the map
 };
 
@@ -85,6 +87,8 @@ static void set_frame(const struct camera *cam, int scale, struct frame *f)
     for (int i = 0; i < 9; i++)
         f->r[i] = (float)r[i];
     memcpy(f->t, cam->t, sizeof f->t);
+    for (int i = 0; i < 3; i++)
+        f->centre[i] = -(f->r[i] * f->t[0] + f->r[3 + i] * f->t[1] + f->r[6 + i] * f->t[2]);
     f->f[0] = cam->fx / (float)scale;
     f->f[1] = cam->fy / (float)scale;
     f->c[0] = cam->cx / (float)scale;
@@ -258,36 +262,6 @@ static bool is_seen_through(const struct seed *s, int view, const float *at)
     return 3 * usable >= 2 * inside;
 }
 
-/* Whether other views see through the splat at x, and no more of them see a surface there: wrong
- * matches of two views confirm each other, and a third one contradicts them. A guess holds where
- * they are as many; but where others guess as well, none may guess that it is farther. */
-static bool is_refuted(const struct seed *s, const struct patch *p, const float *x)
-{
-    int seen = 0, through = 0;
-    for (int j = 0; j < s->in->views->n; j++) {
-        const struct extent *map = &s->in->depth->extent[j];
-        float at[3];
-        if (j == p->view || !project_to_map(&s->frame[j], x, map, at))
-            continue;
-        const size_t k = map->at + (size_t)at[1] * (size_t)map->w + (size_t)at[0];
-        const float depth = s->in->depth->depth[k];
-        if (s->in->depth->conf[k] < SWEEP_CONF_USABLE)
-            through += !p->sure && s->guess[k] * at[2] < 1.0f - 2.0f * SWEEP_SAME_SURFACE;
-        else if (fabsf(depth - at[2]) < SWEEP_SAME_SURFACE * at[2])
-            seen++;
-        else if (depth > at[2] && is_seen_through(s, j, at))
-            through++;
-    }
-    return seen < through || (p->sure && seen == through && through > 0);
-}
-
-static void unproject(const struct frame *f, const struct patch *p, float rho, float *x)
-{
-    float camera[3] = {(p->x - f->c[0]) / f->f[0] / rho - f->t[0],
-                       (p->y - f->c[1]) / f->f[1] / rho - f->t[1], 1.0f / rho - f->t[2]};
-    to_world(f, camera, x);
-}
-
 /* Unit vectors in the camera: along the slope, across it, normal.
  * returns: cosine between normal and line of sight. */
 static float surface_axes(const struct frame *f, const struct patch *p, const float *ray,
@@ -337,33 +311,82 @@ static void axes_to_quat(float (*axis)[3], float q[4])
         q[i] = (float)out[i];
 }
 
+/* A patch in the world: its middle and width, and its axes in the camera, of surface_axes. */
+struct surface {
+    float x[3], axis[3][3], cosine, width;
+};
+
+static struct surface lay_out(const struct frame *f, const struct patch *p)
+{
+    const float z = 1.0f / p->c;
+    const float ray[3] = {(p->x - f->c[0]) / f->f[0], (p->y - f->c[1]) / f->f[1], 1.0f};
+    const float camera[3] = {ray[0] * z - f->t[0], ray[1] * z - f->t[1], z - f->t[2]};
+    struct surface o = {.width = p->side * z / f->f[0]};
+    to_world(f, camera, o.x);
+    o.cosine = surface_axes(f, p, ray, o.axis);
+    return o;
+}
+
+/* Whether the camera stands in the splat. */
+static bool is_inside(const struct frame *f, const struct surface *o)
+{
+    const float reach = CLEAR * WIDTH * o->width / o->cosine;
+    float square = 0.0f;
+    for (int i = 0; i < 3; i++)
+        square += (o->x[i] - f->centre[i]) * (o->x[i] - f->centre[i]);
+    return square < reach * reach;
+}
+
+/* Whether another camera stands in the splat, or other views see through it and no more of them see
+ * a surface there: wrong matches of two views confirm each other, and a third one contradicts them.
+ * A guess holds where they are as many; but where others guess as well, none may guess that it is
+ * farther. */
+static bool is_refuted(const struct seed *s, const struct patch *p, const struct surface *o)
+{
+    int seen = 0, through = 0;
+    for (int j = 0; j < s->in->views->n; j++) {
+        const struct extent *map = &s->in->depth->extent[j];
+        float at[3];
+        if (j != p->view && is_inside(&s->frame[j], o))
+            return true;
+        if (j == p->view || !project_to_map(&s->frame[j], o->x, map, at))
+            continue;
+        const size_t k = map->at + (size_t)at[1] * (size_t)map->w + (size_t)at[0];
+        const float depth = s->in->depth->depth[k];
+        if (s->in->depth->conf[k] < SWEEP_CONF_USABLE)
+            through += !p->sure && s->guess[k] * at[2] < 1.0f - 2.0f * SWEEP_SAME_SURFACE;
+        else if (fabsf(depth - at[2]) < SWEEP_SAME_SURFACE * at[2])
+            seen++;
+        else if (depth > at[2] && is_seen_through(s, j, at))
+            through++;
+    }
+    return seen < through || (p->sure && seen == through && through > 0);
+}
+
 static void emit_splat(struct seed *s, struct patch *p)
 {
     struct gaussians *g = s->out;
     const struct frame *f = &s->frame[p->view];
-    float x[3];
-    unproject(f, p, p->c, x);
-    for (int i = 0; is_refuted(s, p, x); i++) {
+    struct surface o = lay_out(f, p);
+    for (int i = 0; is_refuted(s, p, &o); i++) {
         if (p->sure || i == RETREATS)
             return;
         p->c *= RETREAT; // a guess retreats until no view sees through it
-        unproject(f, p, p->c, x);
+        o = lay_out(f, p);
     }
     if (g->n >= s->max) {
         s->full = true;
         return;
     }
     const int i = g->n;
-    float ray[3] = {(p->x - f->c[0]) / f->f[0], (p->y - f->c[1]) / f->f[1], 1.0f}, z = 1.0f / p->c;
-    float axis[3][3], world[3][3], q[4], sum[3][2] = {{0}};
-    float width = p->side * z / f->f[0], cosine = surface_axes(f, p, ray, axis);
+    float world[3][3], q[4], sum[3][2] = {{0}};
     for (int k = 0; k < 3; k++)
-        to_world(f, axis[k], world[k]);
+        to_world(f, o.axis[k], world[k]);
     axes_to_quat(world, q);
     const float at[2] = {p->x, p->y};
     add_colour(s, p->view, at, p->side, 2.0f, sum);
-    mark_all_views(s, p, x, width, sum);
-    const bool far = shell_has(&s->shell, x);
+    mark_all_views(s, p, o.x, o.width, sum);
+    const bool far = shell_has(&s->shell, o.x);
     for (int k = 0; k < 3 && far; k++) { // the sky of a saturated pixel is as all the rest of it
         sum[k][0] = SKY_PRIOR * s->sky[k][0] / s->sky[k][1];
         sum[k][1] = SKY_PRIOR;
@@ -371,11 +394,11 @@ static void emit_splat(struct seed *s, struct patch *p)
     if (!(sum[0][1] > 0)) // all that shows it is masked
         return;
     g->n++;
-    const float wide = far ? FAR_WIDTH * width : WIDTH * width;
-    const float scale[3] = {wide / cosine, wide, THICKNESS * width};
+    const float wide = far ? FAR_WIDTH * o.width : WIDTH * o.width;
+    const float scale[3] = {wide / o.cosine, wide, THICKNESS * o.width};
     const float opacity = far ? FAR_OPACITY : p->sure ? 0.85f : 0.6f;
     for (int k = 0; k < 3; k++) {
-        g->plane[G_MU + k][i] = x[k];
+        g->plane[G_MU + k][i] = o.x[k];
         g->plane[G_LOG_SCALE + k][i] = logf(scale[k]);
         g->plane[G_SH + k][i] = sum[k][0] / sum[k][1] / (float)SH_BASIS0;
     }

@@ -167,7 +167,7 @@ void main() {
   float nn0 = dot(n0, n0), nn1 = dot(n1, n1), xy = dot(n0, n1);
   vec3 x = cross(n0, n1);
   float det = dot(x, x) + 0.3 * (nn0 + nn1) + 0.09, xx = nn0 + 0.3, yy = nn1 + 0.3;
-  if (!(xx + yy < 1e18 && det > 0.0)) return;
+  if (!(xx + yy < 1e18 && det > 0.0 && 9.0 * dot(V[2] * s, V[2] * s) <= p.z * p.z)) return;
   float top = log2(kept) - log2(1.0 + exp(-logit));
   float reach = (top - (${LOG2_ALPHA_MIN})) * 1.38629436;
   if (reach < 0.0) return;

@@ -101,7 +101,8 @@ def compare(label, model, truth, wanted):
     focal = np.median([f[2] / t[2] for f, t in pairs])
     print(f"{label}: {len(pairs)} of {wanted} cameras, rotation median {np.median(angles):.3f} "
           f"largest {np.max(angles):.3f} degrees, centre median {np.median(off) / spread:.4f} "
-          f"largest {np.max(off) / spread:.4f} of the spread, focal {focal:.4f} of the true one")
+          f"largest {np.max(off) / spread:.4f} of the spread ({spread:.4g}), "
+          f"focal {focal:.4f} of the true one")
 
 
 def colmap(args, work, names):

@@ -17,6 +17,7 @@ struct ref_splat {
 struct ref_camera {
     double r[9], t[3], fx, fy, cx, cy;
     int w, h;
+    double reach; // deviations; splats that reach so behind the camera are not drawn. gsplat: 0
 };
 
 struct ref_2d {
@@ -81,10 +82,11 @@ static inline void ref_rotation(const double q[4], double m[9])
 }
 
 /* N = J R M diag(s), the factor of the 2-D covariance N N^T before the blur. */
-static inline void ref_factor(const struct ref_splat *s, const struct ref_camera *c,
-                              const double p[3], double n[2][3])
+/* returns: the variance along the view. */
+static inline double ref_factor(const struct ref_splat *s, const struct ref_camera *c,
+                                const double p[3], double n[2][3])
 {
-    double rot[9], rz = 1 / p[2], mx = .15 * c->w / c->fx, my = .15 * c->h / c->fy;
+    double rot[9], along = 0, rz = 1 / p[2], mx = .15 * c->w / c->fx, my = .15 * c->h / c->fy;
     ref_rotation(s->p + 6, rot);
     double tx = ref_clamp(p[0] * rz, -(c->cx / c->fx + mx), (c->w - c->cx) / c->fx + mx);
     double ty = ref_clamp(p[1] * rz, -(c->cy / c->fy + my), (c->h - c->cy) / c->fy + my);
@@ -95,7 +97,9 @@ static inline void ref_factor(const struct ref_splat *s, const struct ref_camera
                 c->r[3 * i] * rot[j] + c->r[3 * i + 1] * rot[3 + j] + c->r[3 * i + 2] * rot[6 + j];
         n[0][j] = c->fx * rz * (w[0] - tx * w[2]) * e;
         n[1][j] = c->fy * rz * (w[1] - ty * w[2]) * e;
+        along += w[2] * e * w[2] * e;
     }
+    return along;
 }
 
 /* Tiles and conic; 0 if nothing can be seen. o->u, o->v are known. */
@@ -167,8 +171,7 @@ static inline int ref_project(const struct ref_splat *s, int degree, const struc
     o->v = c->fy * p[1] / p[2] + c->cy;
     o->z = p[2];
     o->o = 1 / (1 + exp(-s->p[10]));
-    ref_factor(s, c, p, n);
-    if (!ref_footprint(c, n, o))
+    if (c->reach * c->reach * ref_factor(s, c, p, n) > p[2] * p[2] || !ref_footprint(c, n, o))
         return 0;
     ref_colour(s, degree, centre, o->rgb);
     return 1;

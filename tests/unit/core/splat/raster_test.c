@@ -107,7 +107,8 @@ static struct ref_camera ref_cam(void)
                            .cx = (double)R.cam.cx,
                            .cy = (double)R.cam.cy,
                            .w = R.cam.w,
-                           .h = R.cam.h};
+                           .h = R.cam.h,
+                           .reach = (double)RASTER_REACH};
     double q[4];
     for (int k = 0; k < 4; k++)
         q[k] = (double)R.cam.q[k];
@@ -359,7 +360,7 @@ static void scene_clamped(void)
 {
     random_scene(12, -1);
     for (int i = 0; i < 12; i++)
-        place_splat(i, (i & 1 ? 1 : -1) * (.75 + .02 * i), i & 2 ? .8 : -.1, .6 + .1 * i);
+        place_splat(i, (i & 1 ? 1 : -1) * (.75 + .02 * i), i & 2 ? .8 : -.1, 1.6 + .1 * i);
 }
 
 static void scene_thin(void)
@@ -489,6 +490,28 @@ static void scene_rotations(void)
             R.g.plane[G_QUAT + k][i] *= factors[i % 3];
 }
 
+/* A splat whose deviation along the view is a third of its depth is the largest that is drawn; one
+ * beside the picture that reaches behind the camera would be a fog all over it. */
+static void test_behind(void **state)
+{
+    (void)state;
+    const struct {
+        double x, z, deviation;
+        bool drawn;
+    } cases[] = {{0, 1, .33, true}, {0, 1, .34, false}, {1.07, .0081, .0475, false}};
+    for (int k = 0; k < 3; k++) {
+        rig_open(1, 0, cpu_detect());
+        random_scene(1, 0);
+        place_splat(0, cases[k].x, 0, cases[k].z);
+        for (int i = 0; i < 3; i++)
+            R.g.plane[G_LOG_SCALE + i][0] = (float)log(cases[k].deviation);
+        R.g.plane[G_LOGIT][0] = 3;
+        draw();
+        assert_int_equal(R.alpha[PX / 2] > 0, cases[k].drawn);
+        rig_close();
+    }
+}
+
 static void test_extremes(void **state)
 {
     (void)state;
@@ -576,8 +599,9 @@ static void test_refuses(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_equals_reference),   cmocka_unit_test(test_gradients),
-        cmocka_unit_test(test_extremes),           cmocka_unit_test(test_groups),
-        cmocka_unit_test(test_threads_same_bytes), cmocka_unit_test(test_refuses)};
+        cmocka_unit_test(test_equals_reference), cmocka_unit_test(test_gradients),
+        cmocka_unit_test(test_behind),           cmocka_unit_test(test_extremes),
+        cmocka_unit_test(test_groups),           cmocka_unit_test(test_threads_same_bytes),
+        cmocka_unit_test(test_refuses)};
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

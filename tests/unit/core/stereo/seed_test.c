@@ -269,6 +269,36 @@ static void test_wrong_matches_are_dropped(void **state)
     free_world(&w);
 }
 
+/* View 0 alone believes in a surface, just where the camera of view 3 stands. */
+static void test_cameras_are_in_the_open(void **state)
+{
+    (void)state;
+    struct world w;
+    struct gaussians g;
+    int near = 0;
+    make_world(&w);
+    memset(w.depth.conf + MAP * MAP, 0,
+           2 * MAP * MAP * sizeof(float)); // views 1 and 2 do not judge
+    w.cams[3].t[0] = -0.1f;
+    w.cams[3].t[2] = -1.0f;
+    for (int k = 0; k < MAP * MAP; k++) {
+        float x;
+        w.depth.depth[3 * MAP * MAP + k] =
+            plane_depth(&w.cams[3], 2.0f * (float)(k % MAP) + 1.0f, &x);
+        if (abs(k % MAP - 15) < 4 && abs(k / MAP - 24) < 4) // there view 0 sees that camera
+            w.depth.depth[k] = 1.0f;
+    }
+    assert_int_equal(seed_run(&w.run, &w.in, MAX, &g), OK);
+    for (int i = 0; i < g.n; i++) {
+        const float x = g.plane[G_MU][i] - 0.1f, y = g.plane[G_MU + 1][i];
+        const float z = g.plane[G_MU + 2][i] - 1.0f, away = sqrtf(x * x + y * y + z * z);
+        assert_true(away > 0.03f);
+        near += away < 0.1f;
+    }
+    assert_true(near > 0);
+    free_world(&w);
+}
+
 /* Where nothing is sure, holes are filled from behind: nothing new stands before the surface. */
 static void test_unsure_pixels_are_filled_from_behind(void **state)
 {
@@ -367,6 +397,7 @@ int main(void)
         cmocka_unit_test(test_detail_is_given_up),
         cmocka_unit_test(test_floating_surface_is_dropped),
         cmocka_unit_test(test_wrong_matches_are_dropped),
+        cmocka_unit_test(test_cameras_are_in_the_open),
         cmocka_unit_test(test_unsure_pixels_are_filled_from_behind),
         cmocka_unit_test(test_hole_is_filled_near_its_surface),
         cmocka_unit_test(test_blind_views_are_filled),
