@@ -73,10 +73,16 @@ static int key_to_entry(const void *key, const void *entry)
     return strcmp(key, ((const struct exposure_entry *)entry)->name);
 }
 
+static double find(const struct exposures *e, const char *name)
+{
+    const struct exposure_entry *x = bsearch(name, e->v, (size_t)e->n, sizeof *e->v, key_to_entry);
+    return x ? x->time : 0;
+}
+
 double exposures_find(const struct exposures *e, const char *name)
 {
     if (e->n == 0)
         return 0;
-    const struct exposure_entry *x = bsearch(name, e->v, (size_t)e->n, sizeof *e->v, key_to_entry);
-    return x ? x->time : 0;
+    const double time = find(e, name);
+    return time > 0 ? time : find(e, EXPOSURES_OTHERS);
 }

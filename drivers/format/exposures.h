@@ -1,9 +1,12 @@
-/* exposures.h - exposure.json: {"file name": linear exposure time, ...}, any common unit.
+/* exposures.h - exposure.json: {"file name": linear exposure time, ...}, any common unit; the name
+ * "*" stands for all files that are not named.
  * thread: any. */
 #ifndef FORMAT_EXPOSURES_H
 #define FORMAT_EXPOSURES_H
 
 #include "core/base/types.h"
+
+#define EXPOSURES_OTHERS "*"
 
 enum { EXPOSURES_MAX = 65536 }; // entries of one file
 
@@ -29,7 +32,7 @@ MUST_USE err_t exposures_parse(const char *what, const void *text, size_t n, str
 /* Accepts a zeroed struct. */
 void exposures_free(struct exposures *e);
 
-/* Time of a file name; 0 if it is not listed. */
+/* Time of a file name, or of those not named; 0 if it is not listed. */
 double exposures_find(const struct exposures *e, const char *name);
 
 #endif

@@ -209,7 +209,7 @@ static err_t times_from_file(const char *path, struct imageset *set)
 }
 
 #define WRITE_TIMES                                                                                \
-    "write exposure.json beside the pictures: {\"NAME\": seconds x ISO / f-number^2, ...}"
+    "write exposure.json there: {\"NAME\": seconds x ISO / f-number^2, ...} or {\"*\": 1} for all"
 
 /* A tag that only some files have makes the exposures incomparable. */
 static err_t check_tag(const char *tag, bool may_lack, const bool *has, struct capture *c)

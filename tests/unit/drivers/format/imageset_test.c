@@ -338,6 +338,22 @@ static void exposures_of_exif_must_be_made_of_the_same(void **state)
     imageset_free(&set);
 }
 
+/* "*" is the exposure of all that are not named. */
+static void one_exposure_for_all(void **state)
+{
+    (void)state;
+    struct imageset set;
+    struct imageset_request rq = {.images = tmpdir_root};
+    put_picture("a.png", 8, 6);
+    put_picture("b.png", 8, 6);
+    assert_int_equal(list(&rq), ERR_FORMAT);
+    assert_non_null(strstr(err_text(), "or {\"*\": 1} for all"));
+    tmpdir_text("exposure.json", "{\"*\": 3, \"b.png\": 2}");
+    assert_int_equal(imageset_list(&rq, &set), OK);
+    assert_true(set.capture.shots[0].exposure == 3 && set.capture.shots[1].exposure == 2);
+    imageset_free(&set);
+}
+
 /* A sentence for each reason, with the first names in order. */
 static void what_is_not_read_is_told(void **state)
 {
@@ -649,6 +665,7 @@ int main(void)
         IN_FOLDER(photographs_are_undistorted),
         IN_FOLDER(contradictions_are_named),
         IN_FOLDER(exposures_of_exif_must_be_made_of_the_same),
+        IN_FOLDER(one_exposure_for_all),
         IN_FOLDER(what_is_not_read_is_told),
         IN_FOLDER(pictures_that_do_not_count_are_told),
         IN_FOLDER(rigs_come_from_three_places),
