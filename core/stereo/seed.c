@@ -41,7 +41,8 @@ static const float FAR_WIDTH = 0.8f;  // of the shell, behind which there is not
 static const float FAR_OPACITY = 0.98f;
 static const float THICKNESS = 0.15f; // standard deviation across the surface per spacing
 static const float TILT_MIN = 0.25f;  // cosine of the steepest surface
-static const float CLEAR = 4.0f;      // standard deviations around a camera where nothing is
+static const float CLEAR = 4.0f;      // standard deviations around a camera where nothing is,
+static const float CLEAR_MOST = 0.2f; // at most, of the depth
 
 struct frame {
     float r[9], t[3]; // world to camera
@@ -311,9 +312,10 @@ static void axes_to_quat(float (*axis)[3], float q[4])
         q[i] = (float)out[i];
 }
 
-/* A patch in the world: its middle and width, and its axes in the camera, of surface_axes. */
+/* A patch in the world: its middle and width, and in the camera its axes, of surface_axes, and
+ * depth. */
 struct surface {
-    float x[3], axis[3][3], cosine, width;
+    float x[3], axis[3][3], cosine, width, z;
 };
 
 static struct surface lay_out(const struct frame *f, const struct patch *p)
@@ -321,7 +323,7 @@ static struct surface lay_out(const struct frame *f, const struct patch *p)
     const float z = 1.0f / p->c;
     const float ray[3] = {(p->x - f->c[0]) / f->f[0], (p->y - f->c[1]) / f->f[1], 1.0f};
     const float camera[3] = {ray[0] * z - f->t[0], ray[1] * z - f->t[1], z - f->t[2]};
-    struct surface o = {.width = p->side * z / f->f[0]};
+    struct surface o = {.width = p->side * z / f->f[0], .z = z};
     to_world(f, camera, o.x);
     o.cosine = surface_axes(f, p, ray, o.axis);
     return o;
@@ -330,7 +332,7 @@ static struct surface lay_out(const struct frame *f, const struct patch *p)
 /* Whether the camera stands in the splat. */
 static bool is_inside(const struct frame *f, const struct surface *o)
 {
-    const float reach = CLEAR * WIDTH * o->width / o->cosine;
+    const float reach = fminf(CLEAR * WIDTH * o->width / o->cosine, CLEAR_MOST * o->z);
     float square = 0.0f;
     for (int i = 0; i < 3; i++)
         square += (o->x[i] - f->centre[i]) * (o->x[i] - f->centre[i]);
