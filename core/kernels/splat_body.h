@@ -78,22 +78,21 @@ MAP void proj_load(struct proj *o, const struct gaussians *g, const struct view_
         }
     o->cx = v_clamp(o->p[0] * o->rz, -v->lim_x0, v->lim_x1);
     o->cy = v_clamp(o->p[1] * o->rz, -v->lim_y0, v->lim_y1);
-    vf zz = v_set(0.0f); // variance along the view
-    for (int c = 0; c < 3; c++)
-        zz = v_fma(o->w[6 + c] * o->s[c], o->w[6 + c] * o->s[c], zz);
-    o->seen = m_and(o->seen, v_le(v_set(RASTER_REACH * RASTER_REACH) * zz, o->p[2] * o->p[2]));
     o->j00 = v_set(v->fx) * o->rz;
     o->j11 = v_set(v->fy) * o->rz;
     o->j02 = v_set(0.0f) - o->j00 * o->cx;
     o->j12 = v_set(0.0f) - o->j11 * o->cy;
-    vf nn0 = v_set(0.0f), nn1 = nn0, n01 = nn0;
+    vf nn0 = v_set(0.0f), nn1 = nn0, n01 = nn0, along = nn0; // the last: variance along the view
     for (int c = 0; c < 3; c++) {
+        const vf z = o->w[6 + c] * o->s[c];
+        along = v_fma(z, z, along);
         o->n0[c] = (o->j00 * o->w[c] + o->j02 * o->w[6 + c]) * o->s[c];
         o->n1[c] = (o->j11 * o->w[3 + c] + o->j12 * o->w[6 + c]) * o->s[c];
         nn0 = v_fma(o->n0[c], o->n0[c], nn0);
         nn1 = v_fma(o->n1[c], o->n1[c], nn1);
         n01 = v_fma(o->n0[c], o->n1[c], n01);
     }
+    o->seen = m_and(o->seen, v_le(v_set(RASTER_REACH * RASTER_REACH) * along, o->p[2] * o->p[2]));
     vf c0 = o->n0[1] * o->n1[2] - o->n0[2] * o->n1[1];
     vf c1 = o->n0[2] * o->n1[0] - o->n0[0] * o->n1[2];
     vf c2 = o->n0[0] * o->n1[1] - o->n0[1] * o->n1[0];

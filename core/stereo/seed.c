@@ -88,8 +88,10 @@ static void set_frame(const struct camera *cam, int scale, struct frame *f)
     for (int i = 0; i < 9; i++)
         f->r[i] = (float)r[i];
     memcpy(f->t, cam->t, sizeof f->t);
+    double centre[3];
+    rotation_centre(cam, centre);
     for (int i = 0; i < 3; i++)
-        f->centre[i] = -(f->r[i] * f->t[0] + f->r[3 + i] * f->t[1] + f->r[6 + i] * f->t[2]);
+        f->centre[i] = (float)centre[i];
     f->f[0] = cam->fx / (float)scale;
     f->f[1] = cam->fy / (float)scale;
     f->c[0] = cam->cx / (float)scale;
@@ -312,10 +314,10 @@ static void axes_to_quat(float (*axis)[3], float q[4])
         q[i] = (float)out[i];
 }
 
-/* A patch in the world: its middle and width, and in the camera its axes, of surface_axes, and
- * depth. */
+/* A patch in the world: its middle, its width, and how far around it no other camera may stand; its
+ * axes in the camera, of surface_axes. */
 struct surface {
-    float x[3], axis[3][3], cosine, width, z;
+    float x[3], axis[3][3], cosine, width, reach;
 };
 
 static struct surface lay_out(const struct frame *f, const struct patch *p)
@@ -323,20 +325,20 @@ static struct surface lay_out(const struct frame *f, const struct patch *p)
     const float z = 1.0f / p->c;
     const float ray[3] = {(p->x - f->c[0]) / f->f[0], (p->y - f->c[1]) / f->f[1], 1.0f};
     const float camera[3] = {ray[0] * z - f->t[0], ray[1] * z - f->t[1], z - f->t[2]};
-    struct surface o = {.width = p->side * z / f->f[0], .z = z};
+    struct surface o = {.width = p->side * z / f->f[0]};
     to_world(f, camera, o.x);
     o.cosine = surface_axes(f, p, ray, o.axis);
+    o.reach = fminf(CLEAR * WIDTH * o.width / o.cosine, CLEAR_MOST * z);
     return o;
 }
 
 /* Whether the camera stands in the splat. */
 static bool is_inside(const struct frame *f, const struct surface *o)
 {
-    const float reach = fminf(CLEAR * WIDTH * o->width / o->cosine, CLEAR_MOST * o->z);
     float square = 0.0f;
     for (int i = 0; i < 3; i++)
         square += (o->x[i] - f->centre[i]) * (o->x[i] - f->centre[i]);
-    return square < reach * reach;
+    return square < o->reach * o->reach;
 }
 
 /* Whether another camera stands in the splat, or other views see through it and no more of them see
@@ -349,9 +351,11 @@ static bool is_refuted(const struct seed *s, const struct patch *p, const struct
     for (int j = 0; j < s->in->views->n; j++) {
         const struct extent *map = &s->in->depth->extent[j];
         float at[3];
-        if (j != p->view && is_inside(&s->frame[j], o))
+        if (j == p->view)
+            continue;
+        if (is_inside(&s->frame[j], o))
             return true;
-        if (j == p->view || !project_to_map(&s->frame[j], o->x, map, at))
+        if (!project_to_map(&s->frame[j], o->x, map, at))
             continue;
         const size_t k = map->at + (size_t)at[1] * (size_t)map->w + (size_t)at[0];
         const float depth = s->in->depth->depth[k];

@@ -209,7 +209,8 @@ static err_t times_from_file(const char *path, struct imageset *set)
 }
 
 #define WRITE_TIMES                                                                                \
-    "write exposure.json there: {\"NAME\": seconds x ISO / f-number^2, ...} or {\"*\": 1} for all"
+    "write exposure.json beside the pictures: {\"NAME\": seconds x ISO / f-number^2, ...} "        \
+    "or {\"*\": 1} for all"
 
 /* A tag that only some files have makes the exposures incomparable. */
 static err_t check_tag(const char *tag, bool may_lack, const bool *has, struct capture *c)
@@ -301,11 +302,7 @@ static err_t get_times(const struct imageset_request *rq, struct imageset *set)
     if (e || found)
         return e;
     e = source ? times_from_file(source, set) : times_from_exif(rq, set);
-    if (e)
-        return e;
-    if (rq->may_lack_times)
-        return OK;
-    return check_times(source, &set->capture);
+    return e || rq->may_lack_times ? e : check_times(source, &set->capture);
 }
 
 static int by_time(const void *a, const void *b)

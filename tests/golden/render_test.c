@@ -93,22 +93,8 @@ static void draw_formulas(const struct fixture *f, double reach, bool planes, fl
     static struct ref_splat splats[N];
     static double out[5 * PX];
     const double white[3] = {1, 1, 1};
-    struct ref_camera c = {.fx = (double)f->cam.fx,
-                           .fy = (double)f->cam.fy,
-                           .cx = (double)f->cam.cx,
-                           .cy = (double)f->cam.cy,
-                           .w = S,
-                           .h = S,
-                           .reach = reach};
-    double q[4];
-    for (int k = 0; k < 4; k++)
-        q[k] = (double)f->cam.q[k];
-    ref_rotation(q, c.r);
-    for (int k = 0; k < 3; k++)
-        c.t[k] = (double)f->cam.t[k];
-    for (int i = 0; i < N; i++)
-        for (int p = 0; p < gaussians_planes(4); p++)
-            splats[i].p[p] = (double)f->g.plane[p][i];
+    const struct ref_camera c = ref_camera_of(&f->cam, reach);
+    ref_splats_of(&f->g, splats);
     ref_render(splats, N, 4, &c, white, out);
     for (int i = 0; i < PX; i++) {
         for (int k = 0; k < 3; k++)

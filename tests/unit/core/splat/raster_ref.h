@@ -4,6 +4,9 @@
 #ifndef SPLAT_RASTER_REF_H
 #define SPLAT_RASTER_REF_H
 
+#include "core/base/gaussians.h"
+#include "core/base/types.h"
+
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -81,8 +84,8 @@ static inline void ref_rotation(const double q[4], double m[9])
     memcpy(m, r, sizeof r);
 }
 
-/* N = J R M diag(s), the factor of the 2-D covariance N N^T before the blur. */
-/* returns: the variance along the view. */
+/* N = J R M diag(s), the factor of the 2-D covariance N N^T before the blur.
+ * returns: the variance along the view. */
 static inline double ref_factor(const struct ref_splat *s, const struct ref_camera *c,
                                 const double p[3], double n[2][3])
 {
@@ -195,6 +198,32 @@ static inline double ref_alpha(const struct ref_2d *g, int x, int y)
         return 0;
     double alpha = fmin(.999, g->o * exp(-sigma));
     return alpha < 1 / 255. ? 0 : alpha;
+}
+
+/* A camera and splats of the program; reach: as in struct ref_camera. */
+static inline struct ref_camera ref_camera_of(const struct camera *cam, double reach)
+{
+    struct ref_camera c = {.fx = (double)cam->fx,
+                           .fy = (double)cam->fy,
+                           .cx = (double)cam->cx,
+                           .cy = (double)cam->cy,
+                           .w = cam->w,
+                           .h = cam->h,
+                           .reach = reach};
+    double q[4];
+    for (int k = 0; k < 4; k++)
+        q[k] = (double)cam->q[k];
+    ref_rotation(q, c.r);
+    for (int k = 0; k < 3; k++)
+        c.t[k] = (double)cam->t[k];
+    return c;
+}
+
+static inline void ref_splats_of(const struct gaussians *g, struct ref_splat *out)
+{
+    for (int i = 0; i < g->n; i++)
+        for (int p = 0; p < gaussians_planes(g->degree); p++)
+            out[i].p[p] = (double)g->plane[p][i];
 }
 
 /* The n splats front to back. out: r, g, b, depth, alpha. */

@@ -100,24 +100,6 @@ static void random_scene(int n, double log_scale)
         random_splat(i, log_scale);
 }
 
-static struct ref_camera ref_cam(void)
-{
-    struct ref_camera c = {.fx = (double)R.cam.fx,
-                           .fy = (double)R.cam.fy,
-                           .cx = (double)R.cam.cx,
-                           .cy = (double)R.cam.cy,
-                           .w = R.cam.w,
-                           .h = R.cam.h,
-                           .reach = (double)RASTER_REACH};
-    double q[4];
-    for (int k = 0; k < 4; k++)
-        q[k] = (double)R.cam.q[k];
-    ref_rotation(q, c.r);
-    for (int k = 0; k < 3; k++)
-        c.t[k] = (double)R.cam.t[k];
-    return c;
-}
-
 static struct raster_input input(void)
 {
     return (struct raster_input){&R.g, &R.cam, {R.bg[0], R.bg[1], R.bg[2]}};
@@ -146,12 +128,10 @@ static void ref_picture(void)
 
 static void ref_take(void)
 {
-    ref.cam = ref_cam();
+    ref.cam = ref_camera_of(&R.cam, (double)RASTER_REACH);
     for (int k = 0; k < 3; k++)
         ref.bg[k] = (double)R.bg[k];
-    for (int i = 0; i < R.g.n; i++)
-        for (int p = 0; p < gaussians_planes(R.g.degree); p++)
-            ref.splat[i].p[p] = (double)R.g.plane[p][i];
+    ref_splats_of(&R.g, ref.splat);
     ref_picture();
 }
 
