@@ -11,6 +11,7 @@
 #include <string.h>
 
 #define SURE 3.0        // standard errors of a gain that is believed
+#define TERM_SURE 7.0   // of an unknown: 3 of errors that are 2.4 times as large (README.md)
 #define GAIN_LEAST 0.01 // of the error, of a gain that matters
 #define BARREL -0.15    // k1 from which a fisheye is tried
 #define WIDE 0.9        // distance from the middle over the focal length, the same
@@ -217,15 +218,25 @@ static bool is_same_model(const struct adjust_lens *x, const struct adjust_lens 
     return x->lens.model == y->lens.model && memcmp(x->free, y->free, sizeof x->free) == 0;
 }
 
-/* Little of a principal point shows in predictions, because the pose turns along: what it needs is
- * a shift beyond doubt, and predictions that are no worse. */
-static bool is_shifted(const struct selfcal *s, int lens)
+/* Whether an unknown that the lens did not have is beyond doubt; that of another model always is.
+ * Where there is no distortion, one that predicts better is found now and then, as observations of
+ * a photograph share what is wrong with its pose. */
+static bool is_step_sure(const struct selfcal *s, int lens, bool centre)
 {
-    const struct lens *l = &s->a->lens[lens].lens;
-    const double *error = s->deviation + (size_t)ADJUST_LENS * (size_t)lens + ADJUST_CENTRE;
-    return fabs(l->cx) > SURE * error[0] || fabs(l->cy) > SURE * error[1];
+    const struct adjust_lens *was = &s->kept.lens[lens], *is = &s->a->lens[lens];
+    const double *error = s->deviation + (size_t)ADJUST_LENS * (size_t)lens;
+    bool sure = was->lens.model != is->lens.model && is->lens.model == LENS_OPENCV_FISHEYE;
+    for (int k = 0; k < LENS_TERMS && !centre; k++)
+        sure = sure || (is->free[1 + k] && !was->free[1 + k] &&
+                        fabs(is->lens.term[k]) > TERM_SURE * error[1 + k]);
+    if (centre)
+        sure = fabs(is->lens.cx) > TERM_SURE * error[ADJUST_CENTRE] ||
+               fabs(is->lens.cy) > TERM_SURE * error[ADJUST_CENTRE + 1];
+    return sure;
 }
 
+/* Little of a principal point shows in predictions, because the pose turns along: they may be no
+ * worse. */
 static bool is_step_kept(const struct selfcal *s, int lens)
 {
     const struct judgement j = judge_lens(s, lens);
@@ -234,7 +245,7 @@ static bool is_step_kept(const struct selfcal *s, int lens)
     if (adjust_too_wide(&s->kept.lens[lens]) && !adjust_too_wide(&s->a->lens[lens]) &&
         !j.much_worse)
         return true;
-    return j.better || (centre && !j.worse && is_shifted(s, lens));
+    return (j.better || (centre && !j.worse)) && is_step_sure(s, lens, centre);
 }
 
 /* Fit the lenses as they were changed, and keep what predicts better. */

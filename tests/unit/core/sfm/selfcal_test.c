@@ -108,6 +108,7 @@ static void kinds_are_told_apart(void **unused)
         assert_true(fabs(l->fx / j.rig.lens[i].fx - 1) < 0.02);
     }
     assert_int_equal(j.out.n_placed, 18);
+    assert_int_equal(j.out.lenses[1].model, LENS_PINHOLE);
     job_free(&j);
 }
 
