@@ -333,6 +333,7 @@ err_t exposure_stack_merge(const struct run *r, const struct views *v, const str
     out->masked = s.masked;
     out->rgb16 = NULL;
     out->deep = false;
+    out->drift = NULL;
     out->mid_log2t = curve->mid_log2t;
     out->n_more = 0;
     return e;

@@ -120,23 +120,15 @@ static err_t read_photographs(const struct run *r, const struct capture *c, cons
     return e;
 }
 
-err_t job_curve(const struct run *r, struct job_result *out)
-{
-    if (!out->views.srgb)
-        return response_run(r, &out->views, &out->response);
-    response_srgb(out->views.mid_log2t, &out->response);
-    return OK;
-}
-
 /* The response, and the exposures of full brackets that are worth keeping. */
 static err_t find_response(const struct run *r, const struct recipe *recipe, struct job_result *out)
 {
-    err_t e = job_curve(r, out);
+    err_t e = job_result_curve(r, out);
     if (!e && out->views.n_more) {
         out->taken = out->views.n + out->views.n_more;
         e = exposure_stack_choose(r, &out->response, recipe->depth == RECIPE_NETWORK, &out->views);
         if (!e)
-            e = job_curve(r, out);
+            e = job_result_curve(r, out);
     }
     job_result_lap(out, JOB_RESPONSE);
     return e;
@@ -217,6 +209,8 @@ err_t job_run(const struct run *r, const struct capture *c, const struct job_con
         e = find_response(r, &recipe, out);
     if (!e)
         e = start_scene(&start);
+    if (!e)
+        e = start_brackets(&start);
     if (!e && recipe.check)
         e = verify_run(r, cfg->moved, out);
     if (!e && recipe.network)

@@ -21,10 +21,6 @@ MUST_USE err_t job_plan(const struct capture *c, const struct job_config *cfg, i
 MUST_USE err_t job_run(const struct run *r, const struct capture *c, const struct job_config *cfg,
                        struct job_result *out);
 
-/* out->response of out->views: from histograms; that of linear photographs is known.
- * err:  those of response_run. */
-MUST_USE err_t job_curve(const struct run *r, struct job_result *out);
-
 /* Write the members that every report has into an open object. threads: of the job's pool. */
 void job_report(const struct job_result *j, int threads, struct report *rep);
 

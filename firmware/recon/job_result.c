@@ -2,6 +2,8 @@
 
 #include "firmware/base/engine.h"
 
+#include "core/photo/response.h"
+
 #include <stdarg.h>
 #include <stdio.h>
 
@@ -13,6 +15,14 @@ void job_result_lap(struct job_result *j, enum job_stage stage)
     j->sent[stage] += j->team ? j->team->sent - j->lap_sent : 0;
     j->lap_sent = j->team ? j->team->sent : 0;
     j->peak_rss_mb = engine_peak_rss_mb();
+}
+
+err_t job_result_curve(const struct run *r, struct job_result *out)
+{
+    if (!out->views.srgb)
+        return response_run(r, &out->views, &out->response);
+    response_srgb(out->views.mid_log2t, &out->response);
+    return OK;
 }
 
 struct prep_size job_result_size(const struct scene *s)

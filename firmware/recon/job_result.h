@@ -97,7 +97,7 @@ struct job_result {
     struct shade_fit_drift drift; // of the places; stops NULL: not looked at
     int n_other_light;            // places in the smaller group of light_change.h, and which
     bool other_light[BUNDLE_VIEWS_MAX];
-    int n_rig;                    // 0: not checked
+    int n_rig; // 0: not checked
     struct job_rig_camera rig[RIGCHECK_MOST];
     int n_lenses;
     char lenses[JOB_LENSES][160]; // how photographs were undistorted, a sentence for each lens
@@ -107,6 +107,10 @@ struct job_result {
 
 /* The time since the last call (or the start) goes to `stage`. */
 void job_result_lap(struct job_result *j, enum job_stage stage);
+
+/* out->response of out->views: from histograms; that of linear photographs is known.
+ * err:  those of response_run. */
+MUST_USE err_t job_result_curve(const struct run *r, struct job_result *out);
 
 /* Size of the views of a scene: as squares if all are. */
 struct prep_size job_result_size(const struct scene *s);

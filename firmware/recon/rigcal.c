@@ -66,11 +66,11 @@ static err_t see_take(struct rigcal *c, int i, bool resampled)
                         (struct prep_size){recipe_work(c->job->cfg), false}, &s->views);
     s->views.cams = NULL;
     if (!e)
-        e = job_curve(c->r, s);
+        e = job_result_curve(c->r, s);
     if (!e && s->views.n_more)
         e = exposure_stack_choose(c->r, &s->response, false, &s->views);
     if (!e && s->views.n_more)
-        e = job_curve(c->r, s);
+        e = job_result_curve(c->r, s);
     if (!e && resampled)
         e = lenses_resample(c->r, t->capture, t->source, &c->found, &c->lenses, s);
     if (!e)

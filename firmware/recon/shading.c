@@ -2,6 +2,8 @@
 
 #include "firmware/recon/lenses.h"
 
+#include "core/photo/exposure_even.h"
+#include "core/photo/response.h"
 #include "core/refine/response_refit.h"
 
 #include <math.h>
@@ -211,10 +213,11 @@ static void end_fitting(struct fitting *f)
     f->out->drift.stops = drift;
     if (!f->out->drift.kept)
         return;
-    for (int i = 0; i < v->n + v->n_more; i++)
-        drift[i] = f->stops[i < v->n ? i : v->place[i - v->n]];
-    for (int i = 0; i < v->n + v->n_more && v->log2t != f->in->seen->log2t; i++)
-        v->log2t[i] += drift[i];
+    for (int i = 0; i < v->n + v->n_more; i++) {
+        const float stops = f->stops[i < v->n ? i : v->place[i - v->n]];
+        drift[i] = stops + (v->drift ? v->drift[i] : 0);
+        v->log2t[i] += v->log2t == f->in->seen->log2t ? 0 : stops;
+    }
     v->drift = drift;
 }
 
@@ -242,6 +245,64 @@ err_t shading_run(const struct run *r, const struct shading_input *in, struct jo
     if (!shading_found(out))
         in->seen->shade = out->views.shade = NULL;
     end_fitting(&f);
+    return e;
+}
+
+static err_t layout_brackets(float *set_used[2], struct arena *tmp, const struct views *v)
+{
+    const size_t n = (size_t)(v->n + v->n_more);
+    err_t e = arena_alloc(tmp, n, sizeof *set_used[0], &set_used[0]);
+    return e ? e : arena_alloc(tmp, n, sizeof *set_used[1], &set_used[1]);
+}
+
+void shading_brackets_plan(struct plan *p, const struct views *v)
+{
+    const size_t mark = arena_mark(&p->tmp);
+    float *set_used[2];
+    if (layout_brackets(set_used, &p->tmp, v))
+        plan_refuse(p);
+    exposure_even_plan(p, v);
+    arena_step(&p->tmp, response_plan(v));
+    arena_reset(&p->tmp, mark);
+}
+
+/* Curve and light in turn: one is found with the other. */
+static err_t even_brackets(const struct run *r, const float *set, float *used, float *drift,
+                           struct job_result *out)
+{
+    struct views *v = &out->views;
+    const size_t n = (size_t)(v->n + v->n_more);
+    float moved = INFINITY;
+    err_t e = OK;
+    for (int k = 0; k < ROUNDS && moved > SETTLED && !e; k++) {
+        memcpy(used, v->log2t, n * sizeof *used);
+        memcpy(v->log2t, set, n * sizeof *set);
+        e = exposure_even_run(r, v, &out->response, drift);
+        moved = 0;
+        for (size_t i = 0; i < n && !e; i++) {
+            v->log2t[i] += drift[i];
+            moved = fmaxf(moved, fabsf(v->log2t[i] - used[i]));
+        }
+        if (!e && moved > SETTLED)
+            e = job_result_curve(r, out);
+    }
+    return e;
+}
+
+err_t shading_brackets(const struct run *r, float *drift, struct job_result *out)
+{
+    struct views *v = &out->views;
+    const size_t mark = arena_mark(r->tmp);
+    float *set_used[2];
+    err_t e = layout_brackets(set_used, r->tmp, v);
+    if (!e) {
+        memcpy(set_used[0], v->log2t, (size_t)(v->n + v->n_more) * sizeof *v->log2t);
+        e = even_brackets(r, set_used[0], set_used[1], drift, out);
+    }
+    for (int i = 0; i < v->n + v->n_more && !e; i++)
+        if (drift[i] != 0)
+            v->drift = drift;
+    arena_reset(r->tmp, mark);
     return e;
 }
 

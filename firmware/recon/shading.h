@@ -9,6 +9,13 @@
 
 #include "core/stereo/sweep.h"
 
+/* Exposures of out->views that are not what they say (exposure_even.h), together with the response:
+ * out->views.log2t and drift, where there is any.
+ * drift: (out->views.n + n_more) room, as below
+ * err:   ERR_NOMEM, ERR_CANCELLED. */
+MUST_USE err_t shading_brackets(const struct run *r, float *drift, struct job_result *out);
+void shading_brackets_plan(struct plan *p, const struct views *v);
+
 /* Room for the maps of as many views. */
 MUST_USE err_t shading_layout(struct shade **out, struct arena *keep, int n_views);
 
@@ -16,7 +23,7 @@ MUST_USE err_t shading_layout(struct shade **out, struct arena *keep, int n_view
  * exposures are in other places (refit). Nothing changes where nothing was found.
  * room:  (out->views.n) of shading_layout; becomes out->views.shade and seen->shade. NULL: of
  *        cameras nothing is asked.
- * drift: (out->views.n + n_more) room; becomes out->views.drift.
+ * drift: (out->views.n + n_more) room, or out->views.drift so far, which it becomes.
  * seen:  one photograph of each place, with cameras; tone: its curve.
  * err:   ERR_NOMEM (see shading_plan), ERR_CANCELLED. */
 struct shading_input {

@@ -89,6 +89,14 @@ err_t start_scene(struct start *s)
     return e;
 }
 
+err_t start_brackets(struct start *s)
+{
+    err_t e = s->drift && s->out->views.n_more ? shading_brackets(s->run, s->drift, s->out) : OK;
+    s->out->scene.tone = s->out->response;
+    job_result_lap(s->out, JOB_RESPONSE);
+    return e;
+}
+
 /* ---- cameras ---- */
 
 /* Why cameras are not known, and what mends it. */
@@ -627,6 +635,7 @@ void start_plan(struct plan *p, const struct job_config *cfg, const struct recip
     (void)sweep_extents(v, maps);
     if (layout_scene(&scene, &s, &p->keep, v))
         plan_refuse(p);
+    shading_brackets_plan(p, v);
     const size_t keep = arena_mark(&p->keep), tmp = arena_mark(&p->tmp);
     if (recipe->tapped) // cells have room for all points
         arena_step(&p->tmp, dump_plan(cfg->size, gaussians ? points : recipe->gaussians_max));

@@ -45,6 +45,9 @@ void start_plan(struct plan *p, const struct job_config *cfg, const struct recip
 /* The scene before its first splat, with room for all unless it becomes a single forward pass. */
 MUST_USE err_t start_scene(struct start *s);
 
+/* Exposures of a place against each other, and the response with what they really were. */
+MUST_USE err_t start_brackets(struct start *s);
+
 /* The network's prediction, if recipe.network. */
 MUST_USE err_t start_network(struct start *s);
 

@@ -67,6 +67,34 @@ at_least "stops that a left-out surface is better with drift" "$(awk \
     -v a="$(number "$OUT/lit.json" drift left_out_error_without)" \
     -v b="$(number "$OUT/lit.json" drift left_out_error_with)" 'BEGIN { print a - b }')" 0.02
 
+# so is light that changes within a bracket
+for set in room lit; do
+    succeed reconstruct --images "$OUT/$set" --size 224 --refine 0 --model none \
+        --out "$OUT/$set-all"
+done
+grep -q light_stops "$OUT/room-all/report.json" && fail "brackets of steady light are changed"
+at_least "share of the light that is found within brackets" "$(awk -F'[":, ]+' '
+    FNR == NR { if ($2 ~ /png$/) truth[$2] = $3; next }
+    $2 == "name" { name = $3 }
+    $2 == "place" { place = $3; n[place]++; name_of[place, n[place]] = name }
+    $2 == "light_stops" { found[name] = $3 }
+    END {
+        for (p in n) {
+            t = f = 0
+            for (k = 1; k <= n[p]; k++) {
+                t += truth[name_of[p, k]] / n[p]
+                f += found[name_of[p, k]] / n[p]
+            }
+            for (k = 1; k <= n[p]; k++) {
+                a = truth[name_of[p, k]] - t
+                b = found[name_of[p, k]] - f
+                all += a * a
+                left += (a - b) * (a - b)
+            }
+        }
+        print (all > 0 ? 1 - sqrt(left / all) : 0)
+    }' "$OUT/lit/truth/light.json" "$OUT/lit-all/report.json")" 0.4
+
 # a lamp is on in some places: that is said of them, and of no other set
 simulate lamp --seed 7 --kind room --views 6 --size 112 --lamp-switch 0.34
 succeed reconstruct --images "$OUT/lamp" --size 112 --refine 0 --out "$OUT/lamp-scene"
