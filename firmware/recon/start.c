@@ -91,7 +91,9 @@ err_t start_scene(struct start *s)
 
 err_t start_brackets(struct start *s)
 {
-    err_t e = s->drift && s->out->views.n_more ? shading_brackets(s->run, s->drift, s->out) : OK;
+    if (!s->drift || s->out->views.n_more == 0)
+        return OK;
+    err_t e = shading_brackets(s->run, s->drift, s->out);
     s->out->scene.tone = s->out->response;
     job_result_lap(s->out, JOB_RESPONSE);
     return e;
