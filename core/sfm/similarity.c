@@ -70,40 +70,104 @@ static void rotate_vector(const double q[4], const double x[3], double out[3])
         out[k] = full[k + 1];
 }
 
-/* Add the rotation between the worlds by one camera, with the sign of q nearest to the sum. */
-static void add_rotation(const struct camera *from, const struct camera *to, double sum[4])
+/* The rotation between the worlds by one camera. */
+static void rotation_by(const struct camera *from, const struct camera *to, double q[4])
 {
     const double a[4] = {(double)to->q[0], -(double)to->q[1], -(double)to->q[2], -(double)to->q[3]};
     const double b[4] = {(double)from->q[0], (double)from->q[1], (double)from->q[2],
                          (double)from->q[3]};
-    double q[4], side = 0;
     rotation_multiply(a, b, q);
+}
+
+static double dot4(const double a[4], const double b[4])
+{
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3];
+}
+
+/* What camera i says that the translation is. */
+static void translation_by(const struct similarity *w, const struct camera *from,
+                           const struct camera *to, double t[3])
+{
+    double a[3], b[3], turned[3];
+    rotation_centre(from, a);
+    rotation_centre(to, b);
+    rotate_vector(w->q, a, turned);
+    for (int k = 0; k < 3; k++)
+        t[k] = b[k] - w->scale * turned[k];
+}
+
+static double angle_off(const struct similarity *w, const struct camera *from,
+                        const struct camera *to)
+{
+    double q[4];
+    rotation_by(from, to, q);
+    return 2 * acos(fmin(1, fabs(dot4(q, w->q)) / sqrt(fmax(dot4(q, q), 1e-30))));
+}
+
+static double distance_off(const struct similarity *w, const struct camera *from,
+                           const struct camera *to)
+{
+    double t[3];
+    translation_by(w, from, to, t);
+    return sqrt((t[0] - w->t[0]) * (t[0] - w->t[0]) + (t[1] - w->t[1]) * (t[1] - w->t[1]) +
+                (t[2] - w->t[2]) * (t[2] - w->t[2]));
+}
+
+/* Means of rotation and translation by weights of 1 over what was off before, which find the point
+ * with the least sum of distances (Weiszfeld): a few wrong cameras move it little. */
+static void fit_rotation(const struct camera *from, const struct camera *to, int n,
+                         struct similarity *io, double least)
+{
+    double sum[4] = {0};
+    for (int i = 0; i < n; i++) {
+        double q[4];
+        rotation_by(&from[i], &to[i], q);
+        const double weight = least > 0 ? 1 / (angle_off(io, &from[i], &to[i]) + least) : 1;
+        for (int k = 0, side = dot4(q, sum) < 0 ? -1 : 1; k < 4; k++)
+            sum[k] += side * weight * q[k];
+    }
+    const double length = sqrt(dot4(sum, sum));
     for (int k = 0; k < 4; k++)
-        side += q[k] * sum[k];
-    for (int k = 0; k < 4; k++)
-        sum[k] += side < 0 ? -q[k] : q[k];
+        io->q[k] = length > 0 ? sum[k] / length : k == 0;
+}
+
+static void fit_translation(const struct camera *from, const struct camera *to, int n,
+                            struct similarity *io, double least)
+{
+    double sum[3] = {0}, total = 0;
+    for (int i = 0; i < n; i++) {
+        double t[3];
+        translation_by(io, &from[i], &to[i], t);
+        const double weight = least > 0 ? 1 / (distance_off(io, &from[i], &to[i]) + least) : 1;
+        total += weight;
+        for (int k = 0; k < 3; k++)
+            sum[k] += weight * t[k];
+    }
+    for (int k = 0; k < 3; k++)
+        io->t[k] = sum[k] / total;
 }
 
 err_t similarity_fit(const struct run *r, const struct camera *from, const struct camera *to,
                      int n_views, struct similarity *out)
 {
+    enum { ROUNDS = 20 };
+    const double share = 0.01; // of the mean, that cannot be told from 0
     float scale;
-    double length = 0;
     err_t e = similarity_scale(r, from, to, n_views, &scale);
     *out = (struct similarity){.scale = (double)scale};
-    for (int i = 0; i < n_views; i++)
-        add_rotation(&from[i], &to[i], out->q);
-    for (int k = 0; k < 4; k++)
-        length += out->q[k] * out->q[k];
-    for (int k = 0; k < 4; k++)
-        out->q[k] = length > 0 ? out->q[k] / sqrt(length) : k == 0;
-    for (int i = 0; i < n_views; i++) {
-        double a[3], b[3], turned[3];
-        rotation_centre(&from[i], a);
-        rotation_centre(&to[i], b);
-        rotate_vector(out->q, a, turned);
-        for (int k = 0; k < 3; k++)
-            out->t[k] += (b[k] - out->scale * turned[k]) / n_views;
+    fit_rotation(from, to, n_views, out, 0);
+    for (int k = 0; k < ROUNDS; k++) {
+        double mean = 0;
+        for (int i = 0; i < n_views; i++)
+            mean += angle_off(out, &from[i], &to[i]) / n_views;
+        fit_rotation(from, to, n_views, out, share * mean);
+    }
+    fit_translation(from, to, n_views, out, 0);
+    for (int k = 0; k < ROUNDS; k++) {
+        double mean = 0;
+        for (int i = 0; i < n_views; i++)
+            mean += distance_off(out, &from[i], &to[i]) / n_views;
+        fit_translation(from, to, n_views, out, share * mean);
     }
     return e;
 }

@@ -197,39 +197,87 @@ static void known_focals(const struct scene *s, const struct capture *test, cons
     }
 }
 
+/* Views of the scene, then the test views, as they were found. */
+struct found {
+    struct views all;
+    struct bundle_lens *lens;
+    struct camera *cams;
+    bool told;                     // which ones are placed
+    bool placed[BUNDLE_VIEWS_MAX]; // else the camera is a copy of another
+};
+
 /* Cameras of all views in a world of their own. */
-static err_t locate_all(const struct run *r, const struct job_config *cfg, const struct views *all,
-                        const struct bundle_lens *lens, struct camera **out)
+static err_t locate_all(const struct run *r, const struct job_config *cfg, struct found *f)
 {
     struct prediction p = {.geom = {.cams = NULL}};
     struct bundle_result b;
     const struct recipe recipe = recipe_of_cameras(cfg);
-    err_t e = recipe.network ? network_look(r, cfg->network, recipe.bundle, all, &p) : OK;
-    *out = p.geom.cams;
+    const int n = f->all.n;
+    err_t e = recipe.network ? network_look(r, cfg->network, recipe.bundle, &f->all, &p) : OK;
+    f->cams = p.geom.cams;
+    f->told = recipe.bundle;
     if (e || !recipe.bundle)
         return e;
     int of[BUNDLE_VIEWS_MAX];
-    for (int i = 0; i < all->n; i++)
+    for (int i = 0; i < n; i++)
         of[i] = i;
     const struct bundle_config want = {
-        .start = p.geom.cams, .n_lenses = all->n, .lens = lens, .lens_of = of, .focal_known = true};
-    e = locate_run(r, all, p.matches.token ? &p.matches : NULL, &want, &b);
-    *out = b.cams;
+        .start = p.geom.cams, .n_lenses = n, .lens = f->lens, .lens_of = of, .focal_known = true};
+    e = locate_run(r, &f->all, p.matches.token ? &p.matches : NULL, &want, &b);
+    f->cams = b.cams;
+    if (!e)
+        memcpy(f->placed, b.placed, (size_t)n * sizeof f->placed[0]);
     return e;
 }
 
+/* From the found world to that of the scene, by the views of the scene that are placed if those are
+ * enough. */
+static err_t fit_world(const struct run *r, const struct scene *s, const struct found *f,
+                       struct similarity *out)
+{
+    enum { ENOUGH = 3 };
+    struct camera from[BUNDLE_VIEWS_MAX], to[BUNDLE_VIEWS_MAX];
+    int n = 0;
+    for (int i = 0; i < s->n_views && f->told; i++)
+        if (f->placed[i]) {
+            from[n] = f->cams[i];
+            to[n++] = s->cams[i];
+        }
+    return n >= ENOUGH ? similarity_fit(r, from, to, n, out)
+                       : similarity_fit(r, f->cams, s->cams, s->n_views, out);
+}
+
 /* The test views among them, in the world of the scene. */
-static err_t place_test_views(const struct run *r, const struct scene *s,
-                              const struct bundle_lens *lens, int n, struct camera *cams)
+static err_t place_test_views(const struct run *r, const struct scene *s, const struct found *f)
 {
     struct similarity w;
-    err_t e = similarity_fit(r, cams, s->cams, s->n_views, &w);
-    for (int i = s->n_views; i < n; i++) {
-        cams[i] = similarity_apply(&w, &cams[i]);
-        cams[i].fx = (float)lens[i].start.fx;
-        cams[i].fy = cams[i].fx * s->cams[0].fy / s->cams[0].fx; // squeezed views
+    err_t e = fit_world(r, s, f, &w);
+    for (int i = s->n_views; i < f->all.n && !e; i++) {
+        struct camera *cam = &f->cams[i];
+        *cam = similarity_apply(&w, cam);
+        cam->fx = (float)f->lens[i].start.fx;
+        cam->fy = cam->fx * s->cams[0].fy / s->cams[0].fx; // squeezed views
     }
     return e;
+}
+
+/* Say which were not found: they are wrong about the scene. */
+static void warn_lost(const struct capture *test, const struct found *f, struct job_result *j)
+{
+    int lost = 0, first = 0;
+    for (int i = 0, at = j->scene.n_views - 1; i < test->n && f->told; i++) {
+        at += begins_view(test, i);
+        if (!begins_view(test, i) || f->placed[at])
+            continue;
+        first = lost++ ? first : i;
+    }
+    if (lost)
+        job_result_warn(j,
+                        "%d of the test views (%.64s) ha%s too little in common with the others to "
+                        "be placed: figures of %s are no measure of the scene; give the cameras "
+                        "with --rig PATH, or leave %s out",
+                        lost, test->shots[first].name, lost == 1 ? "s" : "ve",
+                        lost == 1 ? "it" : "them", lost == 1 ? "it" : "them");
 }
 
 /* Vignetting, gain and balance of the test views, if they are known of any camera. */
@@ -251,18 +299,18 @@ static err_t shade_tests(const struct run *r, const struct job_result *j,
 }
 
 static err_t align_test_views(const struct run *r, const struct job_result *j,
-                              const struct capture *test, const struct views *all,
-                              const struct bundle_lens *lens, struct camera *cams)
+                              const struct capture *test, const struct found *f)
 {
     const struct scene *s = &j->scene;
+    const struct views *all = &f->all;
     const size_t first = (size_t)s->n_views;
     struct views v = {.n = all->n - s->n_views,
                       .size = all->size,
                       .extent = all->extent + first,
                       .rgb = all->rgb, // the extents count from there
                       .log2t = all->log2t + first,
-                      .cams = cams + first};
-    err_t e = place_test_views(r, s, lens, all->n, cams);
+                      .cams = f->cams + first};
+    err_t e = place_test_views(r, s, f);
     if (!e)
         e = shade_tests(r, j, test, &v);
     return e ? e : align_run(r, s, &v);
@@ -278,29 +326,29 @@ static void give_cameras(const struct camera *cams, struct capture *test)
     }
 }
 
-err_t testcams_run(const struct run *r, const struct job_config *cfg, const struct job_result *j,
+err_t testcams_run(const struct run *r, const struct job_config *cfg, struct job_result *j,
                    struct imageset *test)
 {
     const int n = j->scene.n_views;
     const size_t mark = arena_mark(r->keep);
-    struct bundle_lens *lens;
-    struct camera *cams = NULL;
-    struct views all;
+    struct found f = {.told = false};
     const struct prep_size size = {recipe_work(cfg), job_result_size(&j->scene).square};
-    err_t e = begin_views(r->keep, &j->views, &test->capture, size, &all, &lens);
+    err_t e = begin_views(r->keep, &j->views, &test->capture, size, &f.all, &f.lens);
     for (int i = 0; i < n && !e; i++)
-        e = add_input(r, &j->views, i, &all);
+        e = add_input(r, &j->views, i, &f.all);
     for (int i = 0, at = n; i < test->capture.n && !e; i++)
         if (begins_view(&test->capture, i))
-            e = add_view(r, test, middle_picture(&test->capture, i), at++, &all);
+            e = add_view(r, test, middle_picture(&test->capture, i), at++, &f.all);
     if (!e) {
-        known_focals(&j->scene, &test->capture, &all, lens);
-        e = locate_all(r, cfg, &all, lens, &cams);
+        known_focals(&j->scene, &test->capture, &f.all, f.lens);
+        e = locate_all(r, cfg, &f);
     }
     if (!e)
-        e = align_test_views(r, j, &test->capture, &all, lens, cams);
-    if (!e)
-        give_cameras(cams + n, &test->capture);
+        e = align_test_views(r, j, &test->capture, &f);
+    if (!e) {
+        give_cameras(f.cams + n, &test->capture);
+        warn_lost(&test->capture, &f, j);
+    }
     arena_reset(r->keep, mark);
     return e;
 }

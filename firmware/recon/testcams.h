@@ -27,10 +27,10 @@ MUST_USE err_t testcams_check(const struct job_config *cfg, const struct capture
                               const struct capture *test);
 
 /* Find the cameras of test->capture, one per view, from the middle one of its pictures. j is
- * finished.
+ * finished; those that cannot be placed are its warning.
  * err:  those of reading, of the network, of locate_run and of align_run. */
-MUST_USE err_t testcams_run(const struct run *r, const struct job_config *cfg,
-                            const struct job_result *j, struct imageset *test);
+MUST_USE err_t testcams_run(const struct run *r, const struct job_config *cfg, struct job_result *j,
+                            struct imageset *test);
 
 /* The error of all cameras, those of the scene and of the test views. Shots have the true ones.
  * err:  ERR_NOMEM. */

@@ -85,11 +85,40 @@ static void a_world_is_found_again(void **state)
     arena_free(&tmp);
 }
 
+/* Two cameras of nine are wrong. */
+static void wrong_cameras_do_not_count(void **state)
+{
+    (void)state;
+    struct arena tmp;
+    struct camera a[9], b[9];
+    struct similarity w = {1, {0.5, -0.5, 0.5, 0.5}, {1, -2, 3}}, found;
+    assert_int_equal(arena_init(&tmp, "tmp", similarity_plan(9)), OK);
+    struct run r = {.tmp = &tmp};
+    rng = 11;
+    for (int i = 0; i < 9; i++) {
+        a[i] = random_camera();
+        b[i] = similarity_apply(&w, &a[i]);
+    }
+    b[2] = b[5] = random_camera();
+    b[5].t[1] += 20;
+    assert_int_equal(similarity_fit(&r, a, b, 9, &found), OK);
+    for (int i = 0; i < 9; i++) {
+        const struct camera c = similarity_apply(&found, &a[i]);
+        double x[3], y[3];
+        rotation_centre(&c, x);
+        rotation_centre(&b[i], y);
+        for (int k = 0; k < 3 && i != 2 && i != 5; k++)
+            assert_float_equal((float)x[k], (float)y[k], 0.01f);
+    }
+    arena_free(&tmp);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(scale_of_worlds),
         cmocka_unit_test(a_world_is_found_again),
+        cmocka_unit_test(wrong_cameras_do_not_count),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
