@@ -225,13 +225,13 @@ static bool is_step_sure(const struct selfcal *s, int lens, bool centre)
 {
     const struct adjust_lens *was = &s->kept.lens[lens], *is = &s->a->lens[lens];
     const double *error = s->deviation + (size_t)ADJUST_LENS * (size_t)lens;
+    if (centre)
+        return fabs(is->lens.cx) > TERM_SURE * error[ADJUST_CENTRE] ||
+               fabs(is->lens.cy) > TERM_SURE * error[ADJUST_CENTRE + 1];
     bool sure = was->lens.model != is->lens.model && is->lens.model == LENS_OPENCV_FISHEYE;
-    for (int k = 0; k < LENS_TERMS && !centre; k++)
+    for (int k = 0; k < LENS_TERMS; k++)
         sure = sure || (is->free[1 + k] && !was->free[1 + k] &&
                         fabs(is->lens.term[k]) > TERM_SURE * error[1 + k]);
-    if (centre)
-        sure = fabs(is->lens.cx) > TERM_SURE * error[ADJUST_CENTRE] ||
-               fabs(is->lens.cy) > TERM_SURE * error[ADJUST_CENTRE + 1];
     return sure;
 }
 

@@ -7,13 +7,18 @@
 
 /* ---- scale ---- */
 
+static double distance(const double p[3], const double q[3])
+{
+    return sqrt((p[0] - q[0]) * (p[0] - q[0]) + (p[1] - q[1]) * (p[1] - q[1]) +
+                (p[2] - q[2]) * (p[2] - q[2]));
+}
+
 static double centre_distance(const struct camera *a, const struct camera *b)
 {
     double p[3], q[3];
     rotation_centre(a, p);
     rotation_centre(b, q);
-    return sqrt((p[0] - q[0]) * (p[0] - q[0]) + (p[1] - q[1]) * (p[1] - q[1]) +
-                (p[2] - q[2]) * (p[2] - q[2]));
+    return distance(p, q);
 }
 
 static err_t layout(float **ratio, struct arena *tmp, int n_views)
@@ -84,7 +89,7 @@ static double dot4(const double a[4], const double b[4])
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3];
 }
 
-/* What camera i says that the translation is. */
+/* The translation between the worlds by one camera. */
 static void translation_by(const struct similarity *w, const struct camera *from,
                            const struct camera *to, double t[3])
 {
@@ -109,8 +114,7 @@ static double distance_off(const struct similarity *w, const struct camera *from
 {
     double t[3];
     translation_by(w, from, to, t);
-    return sqrt((t[0] - w->t[0]) * (t[0] - w->t[0]) + (t[1] - w->t[1]) * (t[1] - w->t[1]) +
-                (t[2] - w->t[2]) * (t[2] - w->t[2]));
+    return distance(t, w->t);
 }
 
 /* Means of rotation and translation by weights of 1 over what was off before, which find the point
@@ -147,28 +151,31 @@ static void fit_translation(const struct camera *from, const struct camera *to, 
         io->t[k] = sum[k] / total;
 }
 
-err_t similarity_fit(const struct run *r, const struct camera *from, const struct camera *to,
-                     int n_views, struct similarity *out)
+/* The mean, then that by what each camera is off, again and again. */
+static void
+settle(void (*fit)(const struct camera *, const struct camera *, int, struct similarity *, double),
+       double (*off)(const struct similarity *, const struct camera *, const struct camera *),
+       const struct camera *from, const struct camera *to, int n, struct similarity *io)
 {
     enum { ROUNDS = 20 };
     const double share = 0.01; // of the mean, that cannot be told from 0
+    fit(from, to, n, io, 0);
+    for (int k = 0; k < ROUNDS; k++) {
+        double mean = 0;
+        for (int i = 0; i < n; i++)
+            mean += off(io, &from[i], &to[i]) / n;
+        fit(from, to, n, io, share * mean);
+    }
+}
+
+err_t similarity_fit(const struct run *r, const struct camera *from, const struct camera *to,
+                     int n_views, struct similarity *out)
+{
     float scale;
     err_t e = similarity_scale(r, from, to, n_views, &scale);
     *out = (struct similarity){.scale = (double)scale};
-    fit_rotation(from, to, n_views, out, 0);
-    for (int k = 0; k < ROUNDS; k++) {
-        double mean = 0;
-        for (int i = 0; i < n_views; i++)
-            mean += angle_off(out, &from[i], &to[i]) / n_views;
-        fit_rotation(from, to, n_views, out, share * mean);
-    }
-    fit_translation(from, to, n_views, out, 0);
-    for (int k = 0; k < ROUNDS; k++) {
-        double mean = 0;
-        for (int i = 0; i < n_views; i++)
-            mean += distance_off(out, &from[i], &to[i]) / n_views;
-        fit_translation(from, to, n_views, out, share * mean);
-    }
+    settle(fit_rotation, angle_off, from, to, n_views, out);
+    settle(fit_translation, distance_off, from, to, n_views, out);
     return e;
 }
 

@@ -267,9 +267,8 @@ static void warn_lost(const struct capture *test, const struct found *f, struct 
     int lost = 0, first = 0;
     for (int i = 0, at = j->scene.n_views - 1; i < test->n && f->told; i++) {
         at += begins_view(test, i);
-        if (!begins_view(test, i) || f->placed[at])
-            continue;
-        first = lost++ ? first : i;
+        if (begins_view(test, i) && !f->placed[at])
+            first = lost++ ? first : i;
     }
     if (lost)
         job_result_warn(j,

@@ -113,6 +113,7 @@ succeed eval --data "$OUT/room" --size 224 --rig none --refine 100 --json "$OUT/
 at_least "PSNR without cameras" "$(number "$OUT/found.json" ldr psnr)" 21
 at_least "one degree less the error of cameras" \
     "$(awk -v e="$(number "$OUT/found.json" pose rot_deg_median)" 'BEGIN { print 1 - e }')" 0
+
 # one of the test views shows something else: it is named, and moves no other camera
 simulate elsewhere --seed 8 --kind yard --views 2 --size 224 --exposures 0.015625,0.0625,0.25,1,4
 mkdir "$OUT/strange"
@@ -123,6 +124,8 @@ grep -q '1 of the test views (test_ldr_000_0.png) has too little in common' "$ER
     fail "a test view of another place: $(cat "$ERR")"
 at_least "one degree less the error of cameras, with one of another place" \
     "$(awk -v e="$(number "$OUT/strange.json" pose rot_deg_median)" 'BEGIN { print 1 - e }')" 0
+
+# the same bytes with any number of threads
 for threads in 1 3; do
     succeed reconstruct --images "$OUT/room" --size 224 --rig none --refine 0 --threads $threads \
         --out "$OUT/threads$threads"
