@@ -764,7 +764,7 @@ err_t bundle_run(const struct run *r, const struct views *v, const struct match_
         e = run_starts(&b);
     if (!e && own.find_distortion && b.best.score > 0)
         e = find_distortion(&b);
-    if (!e && n_views > CORE && !own.rig_known && b.best.score > 0)
+    if (!e && !own.rig_known && b.best.score > 0)
         e = complete_views(&b);
     if (!e && (own.find_distortion || own.measure_poses) && b.best.score > 0)
         e = measure_result(&b, own.measure_poses ? out->pose_covariance : NULL);

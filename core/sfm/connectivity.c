@@ -1,11 +1,13 @@
 /* A view is held by the observations that are in if
  * 1. they are enough;
  * 2. it sees most points that two other views place, and that were matched to it, at their
- *    positions; otherwise its matches show another place than its pose, or two places;
- * 3. such points are enough, or it has common points with two other views: points in common with
- *    only one view determine its direction but not its distance.
+ *    positions; otherwise its matches show another place than its pose, or two places.
  * The view with the fewest inliers that is not held is removed, and the others are tested again
- * without it, until all are held or two are left, for which only the first test applies. */
+ * without it, until all are held. Of these a set grows from the two views with most common points
+ * by the views that see enough of the points that two of the set place, or have common points with
+ * two of the set: points in common with only one view determine a direction but not a distance.
+ * Sets grow from views that are in none so far; the largest stays, and is tested again. Two views
+ * make a set of their own. */
 #include "core/sfm/connectivity.h"
 
 #include <string.h>
@@ -15,7 +17,8 @@ static const double AGREE = 0.6; // least share of the points of others that a v
 struct links_of_views {
     int *common;           // (n, n) inliers of both, in the lower triangle
     int *matched, *agreed; // (n) points that two others place: matched; in
-    int *to, *size;        // (n) of union and find: another view of a part; views of a part
+    int *fixed;            // (n) inliers that two others of the set place
+    int *set, *best;       // (n) the last set that a view is in, 0: none; 1: in the largest set
     int n;
 };
 
@@ -29,8 +32,10 @@ static err_t layout(struct links_of_views *s, struct arena *tmp, int n_views)
     if (!e)
         e = arena_alloc(tmp, n, sizeof *s->agreed, &s->agreed);
     if (!e)
-        e = arena_alloc(tmp, n, sizeof *s->to, &s->to);
-    return e ? e : arena_zalloc(tmp, n, sizeof *s->size, &s->size);
+        e = arena_alloc(tmp, n, sizeof *s->fixed, &s->fixed);
+    if (!e)
+        e = arena_alloc(tmp, n, sizeof *s->best, &s->best);
+    return e ? e : arena_alloc(tmp, n, sizeof *s->set, &s->set);
 }
 
 size_t connectivity_plan(int n_views)
@@ -70,27 +75,17 @@ static int common_of(const struct links_of_views *s, int u, int v)
     return u < v ? s->common[v * s->n + u] : s->common[u * s->n + v];
 }
 
-static bool is_held(const struct adjust *a, const struct links_of_views *s, int v, int n_placed)
+static bool is_held(const struct links_of_views *s, int v)
 {
-    int links = 0;
-    if (common_of(s, v, v) < CONNECTIVITY_VIEW)
-        return false;
-    if (n_placed < 3)
-        return true;
-    for (int u = 0; u < a->n_views; u++)
-        links += u != v && common_of(s, u, v) >= CONNECTIVITY_LINK;
-    return s->agreed[v] >= AGREE * s->matched[v] &&
-           (s->agreed[v] >= CONNECTIVITY_LINK || links > 1);
+    return common_of(s, v, v) >= CONNECTIVITY_VIEW && s->agreed[v] >= AGREE * s->matched[v];
 }
 
 /* Unplace the view with the fewest inliers that is not held; false if all are held. */
 static bool unplace_worst(struct adjust *a, const struct links_of_views *s)
 {
-    int worst = -1, n_placed = 0;
+    int worst = -1;
     for (int v = 0; v < a->n_views; v++)
-        n_placed += a->placed[v];
-    for (int v = 0; v < a->n_views; v++)
-        if (a->placed[v] && !is_held(a, s, v, n_placed) &&
+        if (a->placed[v] && !is_held(s, v) &&
             (worst < 0 || common_of(s, v, v) < common_of(s, worst, worst)))
             worst = v;
     if (worst >= 0)
@@ -98,29 +93,72 @@ static bool unplace_worst(struct adjust *a, const struct links_of_views *s)
     return worst >= 0;
 }
 
-static int root_of(const int *to, int v)
+/* Of each view, the inliers that two others of the set place. */
+static void count_fixed(const struct adjust *a, const struct links_of_views *s, int set)
 {
-    while (to[v] != v)
-        v = to[v];
-    return v;
+    memset(s->fixed, 0, (size_t)s->n * sizeof *s->fixed);
+    for (int t = 0; t < a->n_tracks; t++) {
+        int n = 0;
+        for (int i = a->first[t]; i < a->first[t + 1]; i++)
+            n += is_counted(a, i) && s->set[a->obs[i].view] == set;
+        for (int i = a->first[t]; i < a->first[t + 1] && n > 1; i++)
+            s->fixed[a->obs[i].view] += is_counted(a, i);
+    }
 }
 
-/* Keep only the largest set of connected views. */
-static void keep_largest(struct adjust *a, const struct links_of_views *s)
+/* Whether the distance of a view depends on the set. */
+static bool is_fixed(const struct links_of_views *s, int v, int set)
 {
-    int *to = s->to, *size = s->size, best = 0;
-    for (int v = 0; v < a->n_views; v++) {
-        to[v] = v;
-        for (int u = 0; u < v && a->placed[v]; u++)
-            if (a->placed[u] && common_of(s, u, v) >= CONNECTIVITY_LINK)
-                to[root_of(to, u)] = root_of(to, v);
+    int links = 0;
+    for (int u = 0; u < s->n; u++)
+        links += s->set[u] == set && common_of(s, u, v) >= CONNECTIVITY_LINK;
+    return s->fixed[v] >= CONNECTIVITY_LINK || links > 1;
+}
+
+/* The two views of no set that have most in common begin a new one, which grows; returns its size,
+ * 0: there are none. */
+static int grow_set(const struct adjust *a, struct links_of_views *s, int set)
+{
+    int most = CONNECTIVITY_LINK - 1, from[2] = {0, 0}, size = 2;
+    for (int v = 0; v < s->n; v++)
+        for (int u = 0; u < v; u++)
+            if (!s->set[u] && !s->set[v] && common_of(s, u, v) > most) {
+                most = common_of(s, u, v);
+                from[0] = u;
+                from[1] = v;
+            }
+    if (from[1] == 0)
+        return 0;
+    s->set[from[0]] = s->set[from[1]] = set;
+    for (int before = 0; before < size;) {
+        before = size;
+        count_fixed(a, s, set);
+        for (int v = 0; v < s->n; v++)
+            if (a->placed[v] && s->set[v] != set && is_fixed(s, v, set)) {
+                s->set[v] = set;
+                size++;
+            }
     }
-    for (int v = 0; v < a->n_views; v++)
-        size[root_of(to, v)] += a->placed[v];
-    for (int v = 0; v < a->n_views; v++)
-        best = size[v] > size[best] ? v : best;
-    for (int v = 0; v < a->n_views; v++)
-        a->placed[v] &= root_of(to, v) == best && size[best] > 1;
+    return size;
+}
+
+/* Unplace all but the largest set; false if it is all. */
+static bool keep_largest(struct adjust *a, struct links_of_views *s)
+{
+    bool any = false;
+    memset(s->set, 0, (size_t)s->n * sizeof *s->set);
+    memset(s->best, 0, (size_t)s->n * sizeof *s->best);
+    for (int k = 1, most = 0, size = 1; size > 0; k++) {
+        size = grow_set(a, s, k);
+        for (int v = 0; v < s->n && size > most; v++)
+            s->best[v] = s->set[v] == k;
+        most = size > most ? size : most;
+    }
+    for (int v = 0; v < s->n; v++) {
+        any |= a->placed[v] && !s->best[v];
+        a->placed[v] &= s->best[v] != 0;
+    }
+    return any;
 }
 
 err_t connectivity_prune(const struct run *r, struct adjust *a)
@@ -131,9 +169,10 @@ err_t connectivity_prune(const struct run *r, struct adjust *a)
     if (e)
         return e;
     do
-        count_links(a, &s);
-    while (unplace_worst(a, &s));
-    keep_largest(a, &s);
+        do
+            count_links(a, &s);
+        while (unplace_worst(a, &s));
+    while (keep_largest(a, &s));
     arena_reset(r->tmp, mark);
     return run_check(r, "connections of views");
 }

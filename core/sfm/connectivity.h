@@ -10,8 +10,9 @@ enum {
     CONNECTIVITY_LINK = 8   // common inliers of two connected views
 };
 
-/* Unplace views with too few inliers, views that contradict the points of others, views whose
- * distance depends on only one other view, and all but the largest set of connected views.
+/* Unplace views with too few inliers, views that contradict the points of others, and all but the
+ * largest set of views whose distances depend on each other: one that another group of views shares
+ * points of one view only with may have any size beside it, however well both fit.
  * err:  ERR_NOMEM (r->tmp, see connectivity_plan), ERR_CANCELLED. */
 MUST_USE err_t connectivity_prune(const struct run *r, struct adjust *a);
 size_t connectivity_plan(int n_views);

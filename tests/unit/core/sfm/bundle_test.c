@@ -519,6 +519,43 @@ static void view_that_hangs_on_one(void **unused)
     }
 }
 
+/* Of the points that views 0 to 6 and 7 to 11 both see, only those stay that 6 and 7 see, and of
+ * them only these two observations; returns their number. */
+static int keep_one_link(struct match_tracks *t)
+{
+    int *in = calloc((size_t)t->n_tracks, sizeof *in), n = 0, pairs = 0;
+    for (int i = 0; i < t->n; i++)
+        in[t->obs[i].track] |= (t->obs[i].view < 7 ? 1 : 2) | (t->obs[i].view == 6   ? 4
+                                                               : t->obs[i].view == 7 ? 8
+                                                                                     : 0);
+    for (int i = 0; i < t->n; i++) {
+        const struct match_observation s = t->obs[i];
+        const bool both = (in[s.track] & 3) == 3, pair = in[s.track] == 15;
+        pairs += pair && s.view == 6;
+        if (pair ? s.view == 6 || s.view == 7 : !both)
+            t->obs[n++] = s;
+    }
+    free(in);
+    t->n = n;
+    return pairs;
+}
+
+/* How large such a group is beside the others, nobody knows, however well its views fit. */
+static void group_that_hangs_on_one(void **unused)
+{
+    (void)unused;
+    struct job j = {.rig = make_room(2500, 381, 0.1, 25)};
+    scene_arc(&j.rig, 12, 60);
+    scene_make(&j.rig, &j.tracks);
+    assert_true(keep_one_link(&j.tracks.t) > 100);
+    run_ok(&j, &(struct bundle_config){KNOWN_LENS(381)});
+    for (int v = 0; v < 12; v++)
+        assert_int_equal(j.out.placed[v], v < 7);
+    j.out.n_placed = j.rig.n_views = 7;
+    assert_right(&j, 0.3, 0.02, 0.02);
+    job_free(&j);
+}
+
 /* Photographs of another shape, squeezed to squares: from the tracks alone, and from cameras that
  * look so, with depth. */
 static void squeezed_views(void **unused)
@@ -760,6 +797,7 @@ int main(void)
         cmocka_unit_test(view_that_fits_nowhere),
         cmocka_unit_test(view_in_two_places),
         cmocka_unit_test(view_that_hangs_on_one),
+        cmocka_unit_test(group_that_hangs_on_one),
         cmocka_unit_test(squeezed_views),
         cmocka_unit_test(no_tracks),
         cmocka_unit_test(views_in_one_place),
