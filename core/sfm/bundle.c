@@ -282,7 +282,7 @@ static err_t run_last_rounds(struct bundle *b)
     if (!e)
         e = run_rounds(b, last, 1);
     if (!e)
-        e = connectivity_prune(b->r, &b->a);
+        e = connectivity_prune(b->r, &b->g, &b->a, BUNDLE_GATE * b->scale);
     if (!e && !b->cfg->rig_known)
         e = place_again(b, &any);
     if (!e && any)
@@ -292,7 +292,7 @@ static err_t run_last_rounds(struct bundle *b)
     if (!e)
         e = triangulate_points(b->r, &b->a, BUNDLE_GATE * b->scale);
     if (!e)
-        e = connectivity_prune(b->r, &b->a);
+        e = connectivity_prune(b->r, &b->g, &b->a, BUNDLE_GATE * b->scale);
     if (!e)
         e = triangulate_points(b->r, &b->a, BUNDLE_GATE * b->scale);
     return e;

@@ -1,7 +1,8 @@
 /* A view is held by the observations that are in if
  * 1. they are enough;
  * 2. it sees most points that two other views place, and that were matched to it, at their
- *    positions; otherwise its matches show another place than its pose, or two places.
+ *    positions, or fewer if no other pose explains what it does not see there (resect.h); otherwise
+ *    its matches show another place than its pose, or two places.
  * The view with the fewest inliers that is not held is removed, and the others are tested again
  * without it, until all are held. Of these a set grows from the two views with most common points
  * by the views that see enough of the points that two of the set place, or have common points with
@@ -9,6 +10,8 @@
  * Sets grow from views that are in none so far; the largest stays, and is tested again. Two views
  * make a set of their own. */
 #include "core/sfm/connectivity.h"
+
+#include "core/sfm/resect.h"
 
 #include <string.h>
 
@@ -75,18 +78,24 @@ static int common_of(const struct links_of_views *s, int u, int v)
     return u < v ? s->common[v * s->n + u] : s->common[u * s->n + v];
 }
 
-static bool is_held(const struct links_of_views *s, int v)
+static bool is_held(const struct viewgraph *g, struct adjust *a, double gate,
+                    const struct links_of_views *s, int v)
 {
-    return common_of(s, v, v) >= CONNECTIVITY_VIEW && s->agreed[v] >= AGREE * s->matched[v];
+    const int seen = s->agreed[v], n = s->matched[v];
+    if (common_of(s, v, v) < CONNECTIVITY_VIEW)
+        return false;
+    return seen >= AGREE * n ||
+           (RESECT_LEAST * seen >= n && seen > 2 * resect_other(g, a, v, gate));
 }
 
 /* Unplace the view with the fewest inliers that is not held; false if all are held. */
-static bool unplace_worst(struct adjust *a, const struct links_of_views *s)
+static bool unplace_worst(const struct viewgraph *g, struct adjust *a, double gate,
+                          const struct links_of_views *s)
 {
     int worst = -1;
     for (int v = 0; v < a->n_views; v++)
-        if (a->placed[v] && !is_held(s, v) &&
-            (worst < 0 || common_of(s, v, v) < common_of(s, worst, worst)))
+        if (a->placed[v] && (worst < 0 || common_of(s, v, v) < common_of(s, worst, worst)) &&
+            !is_held(g, a, gate, s, v))
             worst = v;
     if (worst >= 0)
         a->placed[worst] = false;
@@ -161,7 +170,8 @@ static bool keep_largest(struct adjust *a, struct links_of_views *s)
     return any;
 }
 
-err_t connectivity_prune(const struct run *r, struct adjust *a)
+err_t connectivity_prune(const struct run *r, const struct viewgraph *g, struct adjust *a,
+                         double gate)
 {
     const size_t mark = arena_mark(r->tmp);
     struct links_of_views s;
@@ -171,7 +181,7 @@ err_t connectivity_prune(const struct run *r, struct adjust *a)
     do
         do
             count_links(a, &s);
-        while (unplace_worst(a, &s));
+        while (unplace_worst(g, a, gate, &s));
     while (keep_largest(a, &s));
     arena_reset(r->tmp, mark);
     return run_check(r, "connections of views");

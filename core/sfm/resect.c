@@ -225,6 +225,25 @@ static bool begin_resect(struct adjust *a, int view, double gate, struct resect 
     return s->n >= POINTS_LEAST;
 }
 
+/* Of the points that the pose does not explain, how many one other does; the pose stays. */
+static int explain_rest(const struct viewgraph *g, struct resect *s)
+{
+    double old[ADJUST_POSE];
+    int n = 0, most;
+    for (int i = 0; i < s->n; i++)
+        if (adjust_error(s->a, point_of(s, i), &s->a->obs[s->at[i]]) >= s->gate * s->gate) {
+            s->track[n] = s->track[i];
+            s->at[n++] = s->at[i];
+        }
+    s->n = n;
+    if (n < POINTS_LEAST)
+        return 0;
+    memcpy(old, pose_of(s), sizeof old);
+    (void)try_neighbours(g, s, &most);
+    memcpy(pose_of(s), old, sizeof old);
+    return most;
+}
+
 int resect_view(const struct viewgraph *g, struct adjust *a, int view, double gate)
 {
     struct resect s;
@@ -232,12 +251,19 @@ int resect_view(const struct viewgraph *g, struct adjust *a, int view, double ga
     int most;
     if (!begin_resect(a, view, gate, &s))
         return 0;
+    const int n = s.n;
     memcpy(old, pose_of(&s), sizeof old);
     (void)try_neighbours(g, &s, &most);
-    if (most >= SHARE * s.n)
+    if (most >= SHARE * n || (RESECT_LEAST * most >= n && most > 2 * explain_rest(g, &s)))
         return most;
     memcpy(pose_of(&s), old, sizeof old); // ambiguous: another place may fit as well
     return 0;
+}
+
+int resect_other(const struct viewgraph *g, struct adjust *a, int view, double gate)
+{
+    struct resect s;
+    return begin_resect(a, view, gate, &s) ? explain_rest(g, &s) : 0;
 }
 
 int resect_lens(const struct viewgraph *g, struct adjust *a, int view, double gate)

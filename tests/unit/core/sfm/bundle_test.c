@@ -294,7 +294,7 @@ static void two_places(void **unused)
 }
 
 /* Observations of view 3 are kept in `right` tracks, and in `wrong` ones that see it where the
- * camera at `degrees` around would be; in the others it is not seen. */
+ * camera at `degrees` around would be, anywhere without; in the others it is not seen. */
 static void mislead_view(struct job *j, int right, int wrong, const double degrees[2])
 {
     struct match_tracks *t = &j->tracks.t;
@@ -305,9 +305,10 @@ static void mislead_view(struct job *j, int right, int wrong, const double degre
         if (s.view == 3 && kept++ >= right + wrong)
             continue;
         if (s.view == 3 && (kept - 1) % (right + wrong) >= right) {
-            struct camera c = scene_dome(degrees[kept % 2], 4, j->rig.focal);
-            double u, v;
-            scene_see(&c, NULL, j->tracks.point[s.track], &u, &v);
+            double u = scene_uniform(0, SCENE_SIZE), v = scene_uniform(0, SCENE_SIZE);
+            struct camera c = scene_dome(degrees ? degrees[kept % 2] : 0, 4, j->rig.focal);
+            if (degrees)
+                scene_see(&c, NULL, j->tracks.point[s.track], &u, &v);
             s.u = (float)(u + 0.5 * scene_normal());
             s.v = (float)(v + 0.5 * scene_normal());
         }
@@ -349,6 +350,19 @@ static void view_in_two_places(void **unused)
         assert_others_right(&j, 0.1);
         job_free(&j);
     }
+}
+
+/* More wrong matches than right ones, as facades have, which tell of no other place. */
+static void view_among_wrong_matches(void **unused)
+{
+    (void)unused;
+    struct job j = {.rig = make_room(500, 381, 0.1, 25)};
+    scene_arc(&j.rig, 8, 40);
+    scene_make(&j.rig, &j.tracks);
+    mislead_view(&j, 45, 70, NULL);
+    run_ok(&j, &(struct bundle_config){KNOWN_LENS(381)});
+    assert_right(&j, 0.2, 0.02, 0.02);
+    job_free(&j);
 }
 
 /* View 3 keeps only points that view 4 sees too, and these no other view sees; returns them. */
@@ -660,6 +674,7 @@ int main(void)
         cmocka_unit_test(threads_change_nothing),
         cmocka_unit_test(view_that_fits_nowhere),
         cmocka_unit_test(view_in_two_places),
+        cmocka_unit_test(view_among_wrong_matches),
         cmocka_unit_test(view_that_hangs_on_one),
         cmocka_unit_test(group_that_hangs_on_one),
         cmocka_unit_test(squeezed_views),
