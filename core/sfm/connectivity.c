@@ -1,8 +1,8 @@
 /* A view is held by the observations that are in if
  * 1. they are enough;
  * 2. it sees most points that two other views place, and that were matched to it, at their
- *    positions, or fewer if no other pose explains what it does not see there (resect.h); otherwise
- *    its matches show another place than its pose, or two places.
+ *    positions, or two fifths if no other pose explains half as many of the rest; otherwise its
+ *    matches show another place than its pose, or two places, or its lens is another.
  * The view with the fewest inliers that is not held is removed, and the others are tested again
  * without it, until all are held. Of these a set grows from the two views with most common points
  * by the views that see enough of the points that two of the set place, or have common points with
@@ -15,7 +15,8 @@
 
 #include <string.h>
 
-static const double AGREE = 0.6; // least share of the points of others that a view sees
+static const double AGREE = 0.6;       // least share of the points of others that a view sees
+static const double AGREE_ALONE = 0.4; // where no other pose explains half as many
 
 struct links_of_views {
     int *common;           // (n, n) inliers of both, in the lower triangle
@@ -84,8 +85,7 @@ static bool is_held(const struct viewgraph *g, struct adjust *a, double gate,
     const int seen = s->agreed[v], n = s->matched[v];
     if (common_of(s, v, v) < CONNECTIVITY_VIEW)
         return false;
-    return seen >= AGREE * n ||
-           (RESECT_LEAST * seen >= n && seen > 2 * resect_other(g, a, v, gate));
+    return seen >= AGREE * n || (seen >= AGREE_ALONE * n && seen > 2 * resect_other(g, a, v, gate));
 }
 
 /* Unplace the view with the fewest inliers that is not held; false if all are held. */

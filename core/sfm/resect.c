@@ -12,7 +12,8 @@
 enum { DRAWS = 60, STEPS = 12, POINTS_LEAST = 6, POINTS_MOST = 512 };
 enum { LENS = 2, UNKNOWNS = 6 + LENS, LENS_LEAST = 16 }; // LENS_LEAST: points that tell a lens
 static const double SHARE = 0.5;                         // least share of the points
-static const double TERM_MOST = 0.6;                     // of a lens's first term
+static const double SHARE_ALONE = 0.25; // where no other pose explains half as many
+static const double TERM_MOST = 0.6;    // of a lens's first term
 static const double FISHEYE_GAIN = 0.8; // share of the cost that a fisheye must stay below
 static const double WIDE_GAIN = 0.6;    // that a lens must stay below which should be a fisheye
 
@@ -254,7 +255,7 @@ int resect_view(const struct viewgraph *g, struct adjust *a, int view, double ga
     const int n = s.n;
     memcpy(old, pose_of(&s), sizeof old);
     (void)try_neighbours(g, &s, &most);
-    if (most >= SHARE * n || (RESECT_LEAST * most >= n && most > 2 * explain_rest(g, &s)))
+    if (most >= SHARE * n || (most >= SHARE_ALONE * n && most > 2 * explain_rest(g, &s)))
         return most;
     memcpy(pose_of(&s), old, sizeof old); // ambiguous: another place may fit as well
     return 0;

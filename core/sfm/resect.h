@@ -6,16 +6,12 @@
 #include "core/sfm/adjust.h"
 #include "core/sfm/viewgraph.h"
 
-/* Matches of what looks alike are many in some scenes, but agree with no one pose: a pose that few
- * of the points agree with is that of the view if these are at least one of RESECT_LEAST, and twice
- * as many as any other pose explains of the rest. */
-enum { RESECT_LEAST = 4 };
-
 /* Pose of a view that is not placed, from the points of its tracks. The rotation comes from a
  * placed neighbour's edge, also from a rejected one, or from the present pose; the
  * translation from pairs of points; both are polished on the points within the gate (expected
- * errors). Returns the number of these, 0 if they are less than half of all points and another
- * pose may be right as well (RESECT_LEAST); the pose is the old one then. */
+ * errors). Returns the number of these, 0 if they are less than half of all points, and less than
+ * a quarter or no more than twice as many as another pose explains of the rest: matches of what
+ * looks alike are many in some scenes, but agree with no one pose. The pose is the old one then. */
 int resect_view(const struct viewgraph *g, struct adjust *a, int view, double gate);
 
 /* Of the points of a placed view's tracks that it does not see where they are, how many one other
