@@ -359,7 +359,7 @@ static void view_among_wrong_matches(void **unused)
     struct job j = {.rig = make_room(500, 381, 0.1, 25)};
     scene_arc(&j.rig, 8, 40);
     scene_make(&j.rig, &j.tracks);
-    mislead_view(&j, 45, 70, NULL);
+    mislead_view(&j, 50, 55, NULL);
     run_ok(&j, &(struct bundle_config){KNOWN_LENS(381)});
     assert_right(&j, 0.2, 0.02, 0.02);
     job_free(&j);
