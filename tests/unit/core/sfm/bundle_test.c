@@ -365,34 +365,38 @@ static void view_among_wrong_matches(void **unused)
     job_free(&j);
 }
 
-/* View 3 keeps only points that view 4 sees too, and these no other view sees; returns them. */
-static int keep_pairs(struct match_tracks *t)
+/* Views of sides 1 and 2 are only tied by the points that view `one` of 1 and `other` of 2 see, and
+ * of these no other observation stays. What else both sides saw is left to side 2. returns: ties */
+static int keep_ties(struct match_tracks *t, const int *side, int one, int other)
 {
-    int *in = calloc((size_t)t->n_tracks, sizeof *in), n = 0, pairs = 0;
-    for (int i = 0; i < t->n; i++)
-        in[t->obs[i].track] |= t->obs[i].view == 3 ? 1 : t->obs[i].view == 4 ? 2 : 0;
+    int *in = calloc((size_t)t->n_tracks, sizeof *in), n = 0, ties = 0;
+    for (int i = 0; i < t->n; i++) {
+        const int v = t->obs[i].view;
+        in[t->obs[i].track] |= side[v] | (v == one ? 4 : v == other ? 8 : 0);
+    }
     for (int i = 0; i < t->n; i++) {
         const struct match_observation s = t->obs[i];
-        const bool pair = in[s.track] == 3;
-        pairs += pair && s.view == 3;
-        if (pair ? s.view == 3 || s.view == 4 : s.view != 3)
+        const bool both = (in[s.track] & 3) == 3, tie = in[s.track] == 15;
+        ties += tie && s.view == one;
+        if (tie ? s.view == one || s.view == other : !both || side[s.view] == 2)
             t->obs[n++] = s;
     }
     free(in);
     t->n = n;
-    return pairs;
+    return ties;
 }
 
 /* How far away such a view is, nobody knows. */
 static void view_that_hangs_on_one(void **unused)
 {
     (void)unused;
+    static const int side[] = {2, 2, 2, 1, 2, 2, 2, 2};
     for (uint32_t seed = 17; seed < 20; seed++) {
         struct job j = {.rig = make_room(700, 381, 0.1, 25)};
         j.rig.seed = seed;
         scene_arc(&j.rig, 8, 40);
         scene_make(&j.rig, &j.tracks);
-        assert_true(keep_pairs(&j.tracks.t) > 100);
+        assert_true(keep_ties(&j.tracks.t, side, 3, 4) > 100);
         run_ok(&j, &(struct bundle_config){KNOWN_LENS(381)});
         assert_false(j.out.placed[3]);
         assert_others_right(&j, 0.3);
@@ -400,34 +404,15 @@ static void view_that_hangs_on_one(void **unused)
     }
 }
 
-/* Of the points that views 0 to 6 and 7 to 11 both see, only those stay that 6 and 7 see, and of
- * them only these two observations; returns their number. */
-static int keep_one_link(struct match_tracks *t)
-{
-    static const int side[] = {1, 1, 1, 1, 1, 1, 5, 10, 2, 2, 2, 2};
-    int *in = calloc((size_t)t->n_tracks, sizeof *in), n = 0, pairs = 0;
-    for (int i = 0; i < t->n; i++)
-        in[t->obs[i].track] |= side[t->obs[i].view];
-    for (int i = 0; i < t->n; i++) {
-        const struct match_observation s = t->obs[i];
-        const bool both = (in[s.track] & 3) == 3, pair = in[s.track] == 15;
-        pairs += pair && s.view == 6;
-        if (pair ? s.view == 6 || s.view == 7 : !both)
-            t->obs[n++] = s;
-    }
-    free(in);
-    t->n = n;
-    return pairs;
-}
-
 /* How large such a group is beside the others, nobody knows, however well its views fit. */
 static void group_that_hangs_on_one(void **unused)
 {
     (void)unused;
+    static const int side[] = {1, 1, 1, 1, 1, 1, 1, 2, 2, 2, 2, 2};
     struct job j = {.rig = make_room(2500, 381, 0.1, 25)};
     scene_arc(&j.rig, 12, 60);
     scene_make(&j.rig, &j.tracks);
-    assert_true(keep_one_link(&j.tracks.t) > 100);
+    assert_true(keep_ties(&j.tracks.t, side, 6, 7) > 100);
     run_ok(&j, &(struct bundle_config){KNOWN_LENS(381)});
     for (int v = 0; v < 12; v++)
         assert_int_equal(j.out.placed[v], v < 7);
