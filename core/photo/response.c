@@ -3,7 +3,8 @@
  *   sum_pairs w rho(g(u_b) - g(u_a) - d) + SMOOTH |g'' - p''|^2 + WEAK |g' - p'|^2,   g(0) = 0,
  * with p the inverse of sRGB, rho made robust by reweighting, and is then forced to rise. Over u a
  * filmic curve is nearly straight and sRGB bends only near white, so few pairs determine it and it
- * extrapolates well where there are none. Finally u(x) is written as 64 ReLU units
+ * extrapolates well where there are none. Of different places it is believed as far as their
+ * exposures explain what sets them apart. Finally u(x) is written as 64 ReLU units
  * (core/photo/README.md 2.1): half of them face left, half right, from x = 0. */
 #include "core/photo/response.h"
 
@@ -19,6 +20,7 @@ static const double SMOOTH = 5.0;     // weight of a bend, with data normalised 
 static const double WEAK = 2e-3;      // weight of a slope
 static const double RISE_MIN = 0.06;  // stops per unit of u
 static const double RISE_MAX = 8.0;   // stops per unit of u: flatter curves hold no information
+static const double APART = 0.25;     // stops, root mean square: exposures that differ
 static const float X_END = 24.0f;     // stops
 static const float LOG2_MERGE = 0.1f; // exposures closer than this are one group
 
@@ -193,7 +195,9 @@ static void write_colour(const double *g, struct tonemap *out, int colour)
     p[3 * TONE_HIDDEN] = (float)curve_at(g, 0.0);
 }
 
-void response_fit(const struct response_pair *pairs, int n, float mid_log2t, struct tonemap *out)
+/* trust: 0 the prior .. 1 what the pairs say */
+static void fit_curve(const struct response_pair *pairs, int n, double trust, float mid_log2t,
+                      struct tonemap *out)
 {
     double g[BINS], a[BINS][BINS];
     for (int round = 0; round < ROUNDS; round++) {
@@ -204,11 +208,42 @@ void response_fit(const struct response_pair *pairs, int n, float mid_log2t, str
         solve_bins(a, b);
         memcpy(g, b, sizeof g);
     }
+    for (int k = 0; k < BINS; k++) {
+        const double prior = prior_curve(k) - prior_curve(BINS / 2);
+        g[k] = prior + trust * (g[k] - prior);
+    }
     make_rise(g, 0.0);
     memset(out, 0, sizeof *out);
     out->mid_log2t = mid_log2t;
     for (int c = 0; c < 3; c++)
         write_colour(g, out, c);
+}
+
+void response_fit(const struct response_pair *pairs, int n, float mid_log2t, struct tonemap *out)
+{
+    fit_curve(pairs, n, 1.0, mid_log2t, out);
+}
+
+static double ramp(double x, double from, double to)
+{
+    return fmin(fmax((x - from) / (to - from), 0.0), 1.0);
+}
+
+/* How far pairs of different places tell the curve. Places differ by a stop or so without any
+ * exposure; and an automatic exposure makes dark ones as bright as the others, so that longer ones
+ * seem to change nothing. Of known curves log is the flattest, 0.55 of sRGB in the middle. */
+static double trust_places(const struct response_pair *pairs, int n)
+{
+    double prior[BINS], weight = 1e-9, dd = 1e-9, dx = 0.0;
+    for (int k = 0; k < BINS; k++)
+        prior[k] = prior_curve(k);
+    for (int i = 0; i < n; i++) {
+        const double w = (double)pairs[i].weight, d = (double)pairs[i].d;
+        weight += w;
+        dd += w * d * d;
+        dx += w * d * (pair_residual(prior, &pairs[i]) + d);
+    }
+    return ramp(sqrt(dd / weight), 0.7, 1.4) * ramp(dx / dd, 0.25, 0.4);
 }
 
 /* ---- known curve ---- */
@@ -479,6 +514,19 @@ size_t response_plan(const struct views *v)
     return layout(&g, &pairs, &tmp, v) ? SIZE_MAX : tmp.peak;
 }
 
+bool response_is_told(const struct views *v)
+{
+    const int n = v->n + v->n_more;
+    double mean = 0.0, square = 0.0;
+    for (int i = 0; i < n; i++)
+        mean += (double)views_set_log2t(v, i) / n;
+    for (int i = 0; i < n; i++) {
+        const double x = (double)views_set_log2t(v, i) - mean;
+        square += x * x;
+    }
+    return square > n * APART * APART;
+}
+
 err_t response_run(const struct run *r, const struct views *v, struct tonemap *out)
 {
     struct group *g;
@@ -492,7 +540,7 @@ err_t response_run(const struct run *r, const struct views *v, struct tonemap *o
         int n = v->n_more ? 0 : add_groups(v, g, pairs);
         for (int i = 0; i < v->n && v->n_more; i++)
             n += add_place(v, i, g, pairs + n);
-        response_fit(pairs, n, v->mid_log2t, out);
+        fit_curve(pairs, n, v->n_more ? 1.0 : trust_places(pairs, n), v->mid_log2t, out);
     }
     arena_reset(r->tmp, mark);
     return e;

@@ -33,9 +33,14 @@ int response_quantiles(uint32_t (*a)[256], uint32_t (*b)[256], float d,
 
 /* Curve from the histograms of `v`: of the exposures of each place if there are several, else of
  * views at different exposures. With one exposure, or pictures without grey values, it is close
- * to sRGB.
+ * to sRGB; also where views show different places and their exposures differ by less than a stop,
+ * or were chosen by a camera for each place.
  * err:  ERR_ARG (no views, exposures not finite), ERR_NOMEM. On error *out is not changed. */
 MUST_USE err_t response_run(const struct run *r, const struct views *v, struct tonemap *out);
+
+/* Whether the exposures of the photographs differ enough to tell a curve: by more than 0.25 stops,
+ * root mean square from their mean. Below that the curve and light that changes look the same. */
+bool response_is_told(const struct views *v);
 
 /* Bytes of r->tmp that response_run takes; SIZE_MAX on overflow. */
 size_t response_plan(const struct views *v);

@@ -376,12 +376,12 @@ void figures_report(const struct job_result *j, struct report *rep)
 static void warn_exposures(const struct figures *f, struct job_result *j)
 {
     const struct figures_exposure *e = f->exposure, *last = &e[f->n - 1];
-    if (f->n == 1)
+    if (f->n == 1 || !response_is_told(&j->views))
         job_result_warn(
             j,
-            "all photographs have one exposure: %snothing is known of what is clipped or dark; "
+            "all photographs have %s exposure: %snothing is known of what is clipped or dark; "
             "take them at exposures 2 to 4 stops apart",
-            j->views.srgb ? "" : "the tone curve is a guess, and ");
+            f->n == 1 ? "one" : "nearly one", j->views.srgb ? "" : "the tone curve is a guess, and ");
     for (int k = 0; k + 1 < f->n; k++)
         if (e[k].from > e[k + 1].to)
             job_result_warn(

@@ -366,6 +366,12 @@ bool start_corrects(const struct start *s)
            (s->recipe->cameras == RECIPE_GIVEN || s->out->cameras.confidence >= LOCATE_CONFIDENT);
 }
 
+/* Brackets told the curve already, and one exposure never does. */
+static bool needs_refit(const struct views *v)
+{
+    return v->n_more == 0 && !v->srgb && response_is_told(v);
+}
+
 static err_t find_light(struct start *s)
 {
     struct job_result *out = s->out;
@@ -376,7 +382,7 @@ static err_t find_light(struct start *s)
                                      .drift = s->drift,
                                      .seen = &merged->views,
                                      .tone = &merged->tone,
-                                     .refit = out->views.n_more == 0 && !out->views.srgb};
+                                     .refit = needs_refit(&out->views)};
     err_t e = shading_run(s->run, &in, out);
     if (in.refit)
         out->scene.tone = merged->tone;
@@ -424,7 +430,7 @@ err_t start_stereo(struct start *s)
         e = check_places(s);
     if (!e && s->recipe->complete)
         e = complete_depth(s);
-    if (!e && out->views.n_more == 0 && !out->views.srgb) {
+    if (!e && needs_refit(&out->views)) {
         e = response_refit_run(r, &out->views, &s->depth, &merged->tone);
         out->scene.tone = merged->tone;
     }

@@ -204,6 +204,50 @@ static void test_single_exposure_is_near_srgb(void **state)
     recover(gamma_curve, 1, 0.0f, 0.3f);
 }
 
+static float srgb_curve(float x)
+{
+    const float l = exp2f(x - 1.5f);
+    return fminf(l < 0.0031308f ? 12.92f * l : 1.055f * powf(l, 1 / 2.4f) - 0.055f, 1.0f);
+}
+
+/* Places of other brightness at exposures that rise by `step`, by which their pictures get brighter
+ * by `seen` only. They tell nothing of the curve, which stays near sRGB. */
+static void take_places(float step, const float seen[VIEWS])
+{
+    struct world w;
+    struct tonemap tone;
+    make_world(&w, srgb_curve, VIEWS, step);
+    for (int i = 0; i < VIEWS; i++)
+        draw(&w, srgb_curve, i, i, seen[i]);
+    assert_int_equal(response_run(&w.run, &w.v, &tone), OK);
+    check_rising(&tone);
+    const float err = curve_error(&tone, srgb_curve);
+    if (err > 0.3f)
+        fail_msg("curve differs by %g stops", (double)err);
+    free_world(&w);
+}
+
+static void test_other_places(void **state)
+{
+    (void)state;
+    take_places(0.1f, (float[]){0.0f, 0.9f, -0.8f, 0.3f, -0.5f, 0.6f}); // held by hand, in the sun
+    take_places(0.6f, (float[]){0.0f, 0.1f, -0.1f, 0.0f, 0.1f, -0.1f}); // the camera made them alike
+}
+
+static void test_told(void **state)
+{
+    (void)state;
+    struct views v = {.n = 3, .log2t = (float[]){-9.9f, -10.0f, -9.7f}};
+    assert_false(response_is_told(&v));
+    v.n = 1;
+    assert_false(response_is_told(&v));
+    v.n_more = 2;
+    v.log2t = (float[]){-10.0f, -8.0f, -6.0f};
+    assert_true(response_is_told(&v));
+    v.drift = (float[]){-2.0f, 0.0f, 2.0f}; // light that was found is no exposure
+    assert_false(response_is_told(&v));
+}
+
 static void test_without_grey(void **state)
 {
     (void)state;
@@ -295,6 +339,7 @@ int main(void)
         cmocka_unit_test(test_spread),       cmocka_unit_test(test_single_exposure_is_near_srgb),
         cmocka_unit_test(test_without_grey), cmocka_unit_test(test_wrong_pairs),
         cmocka_unit_test(test_inverse),      cmocka_unit_test(test_srgb),
+        cmocka_unit_test(test_other_places), cmocka_unit_test(test_told),
         cmocka_unit_test(test_refusals),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
