@@ -381,7 +381,8 @@ static void warn_exposures(const struct figures *f, struct job_result *j)
             j,
             "all photographs have %s exposure: %snothing is known of what is clipped or dark; "
             "take them at exposures 2 to 4 stops apart",
-            f->n == 1 ? "one" : "nearly one", j->views.srgb ? "" : "the tone curve is a guess, and ");
+            f->n == 1 ? "one" : "nearly one",
+            j->views.srgb ? "" : "the tone curve is a guess, and ");
     for (int k = 0; k + 1 < f->n; k++)
         if (e[k].from > e[k + 1].to)
             job_result_warn(

@@ -231,7 +231,8 @@ static void test_other_places(void **state)
 {
     (void)state;
     take_places(0.1f, (float[]){0.0f, 0.9f, -0.8f, 0.3f, -0.5f, 0.6f}); // held by hand, in the sun
-    take_places(0.6f, (float[]){0.0f, 0.1f, -0.1f, 0.0f, 0.1f, -0.1f}); // the camera made them alike
+    take_places(0.6f,
+                (float[]){0.0f, 0.1f, -0.1f, 0.0f, 0.1f, -0.1f}); // the camera made them alike
 }
 
 static void test_told(void **state)
