@@ -19,8 +19,9 @@ void shading_brackets_plan(struct plan *p, const struct views *v);
 /* Room for the maps of as many views. */
 MUST_USE err_t shading_layout(struct shade **out, struct arena *keep, int n_views);
 
-/* Find it from surfaces, and say so in *out. The response curve is fitted again with it where
- * exposures are in other places (refit). Nothing changes where nothing was found.
+/* Find it from surfaces, and say so in *out. Nothing changes where nothing was found.
+ * refit: the response curve is fitted again with it, where it is not known but told by exposures in
+ *        other places; else light is all that sets photographs apart.
  * room:  (out->views.n) of shading_layout; becomes out->views.shade and seen->shade. NULL: of
  *        cameras nothing is asked.
  * drift: (out->views.n + n_more) room, or out->views.drift so far, which it becomes.
