@@ -374,7 +374,7 @@ static void centre_drift(struct fit *f)
         xx += x * x;
         xy += x * f->drift[i];
     }
-    const double slope = !f->in->tone_known && xx > v->n * APART * APART ? xy / xx : 0;
+    const double slope = !f->in->tone_known && response_is_told(v) ? xy / xx : 0;
     for (int i = 0; i < v->n; i++) {
         const double x = (double)views_set_log2t(v, i) - middle;
         f->drift[i] -= mean + slope * x;
