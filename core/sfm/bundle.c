@@ -1,12 +1,12 @@
-/* Both starts end in the same rounds: points are triangulated again from the observations that
+/* All starts end in the same rounds: points are triangulated again from the observations that
  * agree within a gate, then cameras, focal length and points are adjusted with a Cauchy loss; gate
  * and width of the loss shrink from round to round (graduated non-convexity: Blake and Zisserman
  * 1987). The start whose observations fit with more redundancy wins: a track of n inliers counts 2
  * n - 3. From cameras: their rotations may be wrong by many degrees, so that rays do not meet.
  * Points start at one depth along their rays, and the first, widest rounds correct the rotations.
- * From tracks: viewgraph.h; of many views only the centres of a few at first, to which the others
- * are added, those first that see the most of the points so far. Views that do not fit are placed
- * again from points (resect.h). */
+ * From tracks (viewgraph.h): all centres at once; and those of a few views, to which the others are
+ * added, those first that see the most of the points so far. Views that do not fit are placed again
+ * from points (resect.h). */
 #include "core/sfm/bundle.h"
 
 #include "core/base/lin.h"
@@ -25,7 +25,8 @@
 
 enum {
     LENS_GATE = 3, // of the gate, for points through a lens that is only about right
-    CORE = 12      // views that many begin with
+    SEED = 4,      // views that a start begins with
+    CORE = 12      // that it begins with where these do not lead to all
 };
 
 /* Focal length over picture size: 120 degrees of a fisheye. */
@@ -272,7 +273,7 @@ static err_t place_most(struct bundle *b, bool *any)
     return e;
 }
 
-/* The last rounds, common to both starts. */
+/* The last rounds, common to all starts. */
 static err_t run_last_rounds(struct bundle *b)
 {
     static const struct round middle[] = {{12, 4, 10}}, last[] = {{6, 2, 10}, {BUNDLE_GATE, 2, 25}};
@@ -377,7 +378,8 @@ static err_t grow_views(struct bundle *b)
     return e ? e : run_rounds(b, closed, 2); // its ends may lie apart
 }
 
-static err_t from_tracks(struct bundle *b, bool grows)
+/* core: views that it begins with, 0: all at once. */
+static err_t from_tracks(struct bundle *b, int core)
 {
     static const struct round first[] = {{30, 10, 10}, {20, 6, 10}};
     struct adjust *a = &b->a;
@@ -392,14 +394,14 @@ static err_t from_tracks(struct bundle *b, bool grows)
     e = viewgraph_vote(b->r, &b->g, a);
     for (int i = 0; i < b->tracks->n && !e; i++)
         b->trusted[i] = a->in[i] || !a->placed[a->obs[i].view];
-    if (grows)
-        viewgraph_core(&b->g, CORE, a);
-    for (int i = 0; i < b->tracks->n && grows; i++)
+    if (core > 0)
+        viewgraph_core(&b->g, core, a);
+    for (int i = 0; i < b->tracks->n && core > 0; i++)
         a->in[i] = a->in[i] && a->placed[a->obs[i].view];
     if (!e)
         e = viewgraph_centres(b->r, &b->g, a, &found);
     if (!e)
-        e = grows ? grow_views(b) : run_rounds(b, first, 2);
+        e = core > 0 ? grow_views(b) : run_rounds(b, first, 2);
     if (!e)
         e = run_last_rounds(b);
     if (!e)
@@ -568,20 +570,29 @@ static int count_placed(const struct bundle *b)
     return n;
 }
 
-/* All centres at once, as long as that places all views; along walks it does not. Relative poses
- * for a wrong focal length are wrong, and adjustment then converges slowly: so it starts again
- * where a focal length comes out different. */
-static err_t from_focals(struct bundle *b)
+/* All centres at once, which needs no first views; from a few, whose points tell the scale of all
+ * others; from some more where these do not lead to all. */
+static err_t from_cores(struct bundle *b)
 {
     const bool many = b->n_views > PAIR_ALL;
+    err_t e = many ? OK : from_tracks(b, 0);
+    if (!e && !many && b->n_views > SEED)
+        e = from_tracks(b, SEED);
+    if (!e && (many || (b->n_views > CORE && count_placed(b) < b->n_views)))
+        e = from_tracks(b, CORE);
+    return e;
+}
+
+/* Relative poses for a wrong focal length are wrong, and adjustment then converges slowly: so it
+ * starts again where a focal length comes out different. */
+static err_t from_focals(struct bundle *b)
+{
     err_t e = OK;
     for (int k = 0; k < 3 && !e; k++) {
         double most = 0;
         for (int i = 0; i < b->a.n_lenses; i++)
             b->a.lens[i].prior_focal = log(b->start[i].fx);
-        e = many ? OK : from_tracks(b, false);
-        if (!e && (many || (b->n_views > CORE && count_placed(b) < b->n_views)))
-            e = from_tracks(b, true);
+        e = from_cores(b);
         for (int i = 0; i < b->a.n_lenses; i++) {
             const struct lens *l = &b->a.lens[i].lens;
             most = fmax(most, fabs(log(l->fx / b->start[i].fx)));

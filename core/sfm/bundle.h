@@ -1,8 +1,9 @@
 /* bundle.h - accurate cameras: bundle adjustment of cameras, their lenses and points on tracks
  * (Triggs et al., "Bundle adjustment: a modern synthesis", 2000): Levenberg-Marquardt,
  * points eliminated (Schur complement), Cauchy loss, graduated from wide to narrow.
- * It starts both from the network's cameras and from the tracks alone; the better result wins. The
- * second start is (two-view geometry by RANSAC, rotations averaged, centres and points linear).
+ * It starts from the network's cameras and from the tracks alone (two-view geometry by RANSAC,
+ * rotations averaged, centres and points linear: of all views, and of a few to which the others are
+ * added); the best result wins.
  * Pure computation; deterministic: random draws come from a fixed seed. */
 #ifndef SFM_BUNDLE_H
 #define SFM_BUNDLE_H

@@ -545,6 +545,63 @@ static void centres_in_a_row(void **unused)
     job_free(&j);
 }
 
+/* One point of a street of the given length, on a wall of it or at its end, and its tracks: each is
+ * found again where it is about as far away. */
+static void add_street_point(struct job *j, double length)
+{
+    struct match_tracks *t = &j->tracks.t;
+    struct match_observation *obs = t->obs + t->n;
+    const bool far = scene_uniform(0, 1) < 0.15;
+    const double side = scene_uniform(0, 1) < 0.5 ? -1.5 : 1.5;
+    const double x[3] = {far ? scene_uniform(-6, 6) : side, scene_uniform(-2, 1),
+                         far ? length + scene_uniform(20, 30) : scene_uniform(1, length + 4)};
+    double c[3], first = 0, u, v;
+    int n = 0;
+    const bool spoilt = scene_uniform(0, 1) < j->rig.wrong;
+    for (int k = 0; k < j->rig.n_views; k++) {
+        rotation_centre(&j->rig.cams[k], c);
+        const double away = hypot(x[0] - c[0], x[2] - c[2]);
+        if (!scene_see(&j->rig.cams[k], NULL, x, &u, &v) || (n > 0 && first > 1.5 * away) ||
+            scene_uniform(0, 1) > 0.6)
+            continue;
+        first = n > 0 ? first : away;
+        obs[n] =
+            (struct match_observation){t->n_tracks, k, (float)(u + j->rig.noise * scene_normal()),
+                                       (float)(v + j->rig.noise * scene_normal()), 0.5f};
+        if (spoilt && n > 0)
+            scene_spoil(&obs[n]);
+        n++;
+    }
+    t->n += n > 1 ? n : 0;
+    t->n_tracks += n > 1;
+}
+
+/* Photographs straight ahead see little in common with those some steps on: all centres at once
+ * can shrink a part of the walk to a point. */
+static void down_a_street(void **unused)
+{
+    (void)unused;
+    for (int seed = 7; seed <= 9; seed++) {
+        double turn, centre;
+        struct job j = {.rig = make_room(500, 300, seed < 9 ? 0.5 : 0.3, 0)};
+        j.rig.n_views = 9;
+        scene_state = (uint32_t)seed;
+        for (int v = 0; v < 9; v++) {
+            const double from[3] = {scene_uniform(-0.1, 0.1), scene_uniform(-0.05, 0.05), v};
+            const double to[3] = {from[0] + scene_uniform(-0.5, 0.5), from[1], from[2] + 10};
+            j.rig.cams[v] = scene_look(from, to, 300);
+        }
+        j.tracks.t.obs = calloc((size_t)(j.rig.n_points * 9), sizeof *j.tracks.t.obs);
+        for (int i = 0; i < j.rig.n_points; i++)
+            add_street_point(&j, 9);
+        run_ok(&j, &(struct bundle_config){KNOWN_LENS(300)});
+        compare(&j, &turn, &centre);
+        assert_int_equal(j.out.n_placed, 9);
+        assert_true(turn < 0.4 && centre < 0.05);
+        job_free(&j);
+    }
+}
+
 /* All points on one slanted wall. */
 static void a_wall(void **unused)
 {
@@ -667,6 +724,7 @@ int main(void)
         cmocka_unit_test(views_in_one_place),
         cmocka_unit_test(two_and_three_views),
         cmocka_unit_test(centres_in_a_row),
+        cmocka_unit_test(down_a_street),
         cmocka_unit_test(a_wall),
         cmocka_unit_test(every_match_wrong),
         cmocka_unit_test(start_that_is_no_number),
