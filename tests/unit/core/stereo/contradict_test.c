@@ -223,6 +223,18 @@ static void test_what_is_masked_proves_nothing(void **state)
     assert_true(w.found.of_view[3] == 0);
 }
 
+static void test_who_passes_by_can_be_masked(void **state)
+{
+    (void)state;
+    pass_by(1, 0, SIZE / 3);
+    w.views.masked = w.masked;
+    for (int k = 0; k < PX; k++)
+        w.masked[PX + k] = k % SIZE < SIZE / 3;
+    judge();
+    assert_wrong(-1);
+    assert_true(w.found.of_view[1] < 0.02f);
+}
+
 /* All but a small part of what the others show is masked. */
 static void test_few_samples_may_be_chance(void **state)
 {
@@ -275,6 +287,7 @@ int main(void)
                                         teardown),
         cmocka_unit_test_setup_teardown(test_a_wrong_depth_alone_does_not, setup, teardown),
         cmocka_unit_test_setup_teardown(test_what_is_masked_proves_nothing, setup, teardown),
+        cmocka_unit_test_setup_teardown(test_who_passes_by_can_be_masked, setup, teardown),
         cmocka_unit_test_setup_teardown(test_few_samples_may_be_chance, setup, teardown),
         cmocka_unit_test_setup_teardown(test_threads_do_not_matter, setup, teardown),
         cmocka_unit_test_setup_teardown(test_the_plan_is_what_it_takes, setup, teardown),
