@@ -28,6 +28,7 @@ enum {
 static const float WEIGHT = 0.3f;      // least reliability of light (response.h)
 static const float COS_APART = 0.906f; // 25 degrees between the rays of the two views
 static const float SCALES2 = 2.56f;    // squared ratio of the distances
+static const float ONE_PLACE = 0.005f; // distance of two cameras over a point's: no parallax
 static const float DEPTHS = 1.28f;     // within a window, farthest over nearest: one surface
 static const float NOISE_VAR = 0.02f;  // stops^2 added, so that noise does not correlate
 static const float TEXTURE = 0.05f;    // stops^2, least variance of a window
@@ -39,6 +40,7 @@ static const float HIDDEN = 0.95f;              // a surface hides points beyond
 struct pair {
     int of, in; // samples of the first in the picture of the second
     int agree, contrary;
+    bool same; // some where both stand in one place
 };
 
 /* Of one worker, for the largest map. */
@@ -55,7 +57,8 @@ struct comparison {
     struct response_table table;
     float (*centre)[3];      // (n) of the cameras
     float *light;            // (maps) log2, 3 x 3 px smoothed
-    bool *sure;              // (maps) a confirmed surface with reliable light
+    bool *lit;               // (maps) reliable light, not of the background
+    bool *sure;              // (maps) and a confirmed surface
     struct pair *pairs;      // (n, OTHERS) of what the first n_pairs[i] are used
     int *n_pairs;            // (n)
     float *sort;             // (n)
@@ -109,9 +112,8 @@ static err_t prepare_view(void *ctx, int view, int worker)
     (void)worker;
     for (int i = 0; i < map->w * map->h; i++) {
         const size_t at = map->at + (size_t)i;
-        const bool reliable = mean_light(c, view, i, &light[i]);
-        c->sure[at] =
-            reliable && visibility_confident(&c->vis, at) && !(c->d->far && c->d->far[at]);
+        c->lit[at] = mean_light(c, view, i, &light[i]) && !(c->d->far && c->d->far[at]);
+        c->sure[at] = c->lit[at] && visibility_confident(&c->vis, at);
     }
     for (int y = 0; y < map->h; y++)
         smooth_rows(light + y * map->w, map->w, 1);
@@ -129,6 +131,31 @@ static void point_at(const struct comparison *c, int view, int i, float out[3])
     const float uvz[3] = {((float)(i % map->w) + 0.5f) * s, ((float)(i / map->w) + 0.5f) * s,
                           c->d->depth[map->at + (size_t)i]};
     visibility_unproject(&c->vis, view, uvz, out);
+}
+
+static float distance2(const float a[3], const float b[3])
+{
+    float sum = 0;
+    for (int k = 0; k < 3; k++)
+        sum += (a[k] - b[k]) * (a[k] - b[k]);
+    return sum;
+}
+
+/* Whether another view sees the same there however far it is. */
+static bool in_one_place(const struct comparison *c, int a, int b, const float point[3])
+{
+    return distance2(c->centre[a], c->centre[b]) <
+           ONE_PLACE * ONE_PLACE * distance2(point, c->centre[a]);
+}
+
+/* The point of a pixel, if another view can be compared with it. */
+static bool get_point(const struct comparison *c, int of, int in, int i, float out[3])
+{
+    const size_t at = c->d->extent[of].at + (size_t)i;
+    if (!c->lit[at])
+        return false;
+    point_at(c, of, i, out);
+    return c->sure[at] || in_one_place(c, of, in, out);
 }
 
 /* Whether two views see a point from about the same direction and distance. */
@@ -154,10 +181,8 @@ static int count_common(const struct comparison *c, int of, int in)
             const int i = y * map->w + x;
             float point[3];
             struct projected p;
-            if (!c->sure[map->at + (size_t)i])
-                continue;
-            point_at(c, of, i, point);
-            n += visibility_project(&c->vis, in, point, &p) && seen_alike(c, of, in, point);
+            n += get_point(c, of, in, i, point) && visibility_project(&c->vis, in, point, &p) &&
+                 seen_alike(c, of, in, point);
         }
     return n;
 }
@@ -220,10 +245,7 @@ static void draw_light(const struct comparison *c, int of, int view, float *ligh
         float point[3];
         struct projected p;
         light[i] = NAN;
-        if (!c->sure[map->at + (size_t)i])
-            continue;
-        point_at(c, of, i, point);
-        if (visibility_project(&c->vis, view, point, &p) &&
+        if (get_point(c, of, view, i, point) && visibility_project(&c->vis, view, point, &p) &&
             !is_masked(c, view, (int)(p.at - c->d->extent[view].at)))
             light[i] = light_at(c, view, p.u / s, p.v / s);
     }
@@ -281,8 +303,10 @@ static void take_sample(const struct comparison *c, const struct scratch *m, int
         return;
     const float alike = correlate(c, p->of, i, m->light), there = c->d->depth[to.at];
     const bool on = fabsf(there - to.z) < ON * to.z, sure = c->sure[to.at];
-    p->agree += sure && on && alike > ALIKE;
-    p->contrary += alike < UNLIKE && (sure ? to.z < FRONT * there : !on);
+    const bool same = in_one_place(c, p->of, p->in, point);
+    p->same |= same;
+    p->agree += alike > ALIKE && (same || (sure && on));
+    p->contrary += alike < UNLIKE && (same || (sure ? to.z < FRONT * there : !on));
 }
 
 static err_t compare_view(void *ctx, int view, int worker)
@@ -318,7 +342,7 @@ static float share_contrary(const struct pair *p)
 }
 
 /* What others that are not wrong have in the picture of a view, without the quarter of them that
- * contradicts most: there their depth may be wrong. */
+ * contradicts most: there their depth may be wrong, unless it does not matter. */
 static struct pair sum_samples(const struct comparison *c, const bool *wrong, int view)
 {
     struct pair sum = {.in = view}, used[OTHERS];
@@ -328,6 +352,11 @@ static struct pair sum_samples(const struct comparison *c, const bool *wrong, in
         int k = n;
         if (wrong[now.of])
             continue;
+        if (now.same) {
+            sum.agree += now.agree;
+            sum.contrary += now.contrary;
+            continue;
+        }
         for (; k > 0 && share_contrary(&used[k - 1]) < share_contrary(&now); k--)
             used[k] = used[k - 1];
         used[k] = now;
@@ -396,6 +425,8 @@ static err_t layout(struct comparison *c, struct arena *a, const struct extent *
         e = arena_alloc(a, views, sizeof *c->centre, &c->centre);
     if (!e)
         e = arena_alloc(a, pixels, sizeof *c->light, &c->light);
+    if (!e)
+        e = arena_alloc(a, pixels, sizeof *c->lit, &c->lit);
     if (!e)
         e = arena_alloc(a, pixels, sizeof *c->sure, &c->sure);
     if (!e)

@@ -7,7 +7,8 @@
  * the other view surely sees through the surface to something behind it, or confirms nothing at
  * all (Zach et al., "What can missing correspondences tell us about 3D structure and motion?", CVPR
  * 2008; Heinly et al., "Correcting for duplicate scene structure in sparse 3D reconstruction", ECCV
- * 2014). Exposures do not matter, and what is masked in either view is no sample.
+ * 2014). Two views in one place see the same whatever its depth: there every patch is a sample.
+ * Exposures do not matter, and what is masked in either view is no sample.
  * Pure computation; thread: any. The result does not depend on the number of threads. */
 #ifndef STEREO_CONTRADICT_H
 #define STEREO_CONTRADICT_H

@@ -211,6 +211,23 @@ static void test_a_wrong_depth_alone_does_not(void **state)
     assert_true(w.found.of_view[2] < 0.02f && w.found.median == 0);
 }
 
+/* Stereo knows nothing; a photograph is placed where another one was taken. */
+static void test_views_in_one_place_need_no_depth(void **state)
+{
+    (void)state;
+    for (int k = 0; k < VIEWS * PX; k++)
+        w.conf[k] = 0.1f;
+    w.cams[3].t[0] = w.cams[2].t[0];
+    photograph(3, APART * 2);
+    judge();
+    assert_wrong(-1);
+    assert_true(w.found.of_view[3] == 0);
+    photograph(3, 40.5f * PERIOD);
+    judge();
+    assert_int_equal(w.found.n_wrong, 1);
+    assert_true(w.found.wrong[2] || w.found.wrong[3]);
+}
+
 static void test_what_is_masked_proves_nothing(void **state)
 {
     (void)state;
@@ -286,6 +303,7 @@ int main(void)
         cmocka_unit_test_setup_teardown(test_a_surface_that_is_seen_through_contradicts, setup,
                                         teardown),
         cmocka_unit_test_setup_teardown(test_a_wrong_depth_alone_does_not, setup, teardown),
+        cmocka_unit_test_setup_teardown(test_views_in_one_place_need_no_depth, setup, teardown),
         cmocka_unit_test_setup_teardown(test_what_is_masked_proves_nothing, setup, teardown),
         cmocka_unit_test_setup_teardown(test_who_passes_by_can_be_masked, setup, teardown),
         cmocka_unit_test_setup_teardown(test_few_samples_may_be_chance, setup, teardown),
