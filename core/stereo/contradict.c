@@ -40,7 +40,7 @@ static const float HIDDEN = 0.95f;              // a surface hides points beyond
 struct pair {
     int of, in; // samples of the first in the picture of the second
     int agree, contrary;
-    bool same; // some where both stand in one place
+    int same; // of these, where both stand in one place
 };
 
 /* Of one worker, for the largest map. */
@@ -304,9 +304,11 @@ static void take_sample(const struct comparison *c, const struct scratch *m, int
     const float alike = correlate(c, p->of, i, m->light), there = c->d->depth[to.at];
     const bool on = fabsf(there - to.z) < ON * to.z, sure = c->sure[to.at];
     const bool same = in_one_place(c, p->of, p->in, point);
-    p->same |= same;
-    p->agree += alike > ALIKE && (same || (sure && on));
-    p->contrary += alike < UNLIKE && (same || (sure ? to.z < FRONT * there : !on));
+    const bool agree = alike > ALIKE && (same || (sure && on));
+    const bool contrary = alike < UNLIKE && (same || (sure ? to.z < FRONT * there : !on));
+    p->agree += agree;
+    p->contrary += contrary;
+    p->same += same && (agree || contrary);
 }
 
 static err_t compare_view(void *ctx, int view, int worker)
@@ -352,7 +354,7 @@ static struct pair sum_samples(const struct comparison *c, const bool *wrong, in
         int k = n;
         if (wrong[now.of])
             continue;
-        if (now.same) {
+        if (2 * now.same > now.agree + now.contrary) {
             sum.agree += now.agree;
             sum.contrary += now.contrary;
             continue;
