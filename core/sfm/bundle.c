@@ -225,6 +225,12 @@ static double error_scale(struct bundle *b)
     return fmax(1, fmin(4, sqrt((double)num_median(b->sorted, (size_t)n)) / 1.1774));
 }
 
+/* Whether lenses are found. */
+static bool finds_lenses(const struct bundle *b)
+{
+    return b->cfg->find_distortion && !b->cfg->focal_known;
+}
+
 /* Whether nothing has told about the lens of a view: no view of it is placed. */
 static bool is_lens_unknown(const struct bundle *b, int view)
 {
@@ -233,7 +239,7 @@ static bool is_lens_unknown(const struct bundle *b, int view)
     for (int v = 0; v < b->n_views; v++)
         if (a->placed[v] && a->lens_of[v] == lens)
             return false;
-    return b->cfg->find_distortion && !b->cfg->focal_known;
+    return finds_lenses(b);
 }
 
 /* Place views that are not placed yet from the points of the others. */
@@ -571,12 +577,13 @@ static int count_placed(const struct bundle *b)
 }
 
 /* All centres at once, which needs no first views; from a few, whose points tell the scale of all
- * others; from some more where these do not lead to all. */
+ * others, unless these have lenses of which the few tell nothing; from some more where that does
+ * not lead to all. */
 static err_t from_cores(struct bundle *b)
 {
     const bool many = b->n_views > PAIR_ALL;
     err_t e = many ? OK : from_tracks(b, 0);
-    if (!e && !many && b->n_views > SEED)
+    if (!e && !many && b->n_views > SEED && !(b->a.n_lenses > 1 && finds_lenses(b)))
         e = from_tracks(b, SEED);
     if (!e && (many || (b->n_views > CORE && count_placed(b) < b->n_views)))
         e = from_tracks(b, CORE);
