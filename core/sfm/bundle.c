@@ -576,30 +576,27 @@ static int count_placed(const struct bundle *b)
     return n;
 }
 
-/* All centres at once, which needs no first views; from a few, whose points tell the scale of all
- * others, unless these have lenses of which the few tell nothing; from some more where that does
- * not lead to all. */
-static err_t from_cores(struct bundle *b)
+static void set_priors(struct bundle *b)
 {
-    const bool many = b->n_views > PAIR_ALL;
-    err_t e = many ? OK : from_tracks(b, 0);
-    if (!e && !many && b->n_views > SEED && !(b->a.n_lenses > 1 && finds_lenses(b)))
-        e = from_tracks(b, SEED);
-    if (!e && (many || (b->n_views > CORE && count_placed(b) < b->n_views)))
-        e = from_tracks(b, CORE);
-    return e;
+    for (int i = 0; i < b->a.n_lenses; i++)
+        b->a.lens[i].prior_focal = log(b->start[i].fx);
 }
 
-/* Relative poses for a wrong focal length are wrong, and adjustment then converges slowly: so it
- * starts again where a focal length comes out different. */
+/* From a few views, whose points tell the scale of all others, unless there are lenses of which the
+ * few tell nothing. Then all centres at once, as long as that places all views; along walks it does
+ * not. Relative poses for a wrong focal length are wrong, and adjustment then converges slowly: so
+ * it starts again where a focal length comes out different. */
 static err_t from_focals(struct bundle *b)
 {
-    err_t e = OK;
+    const bool many = b->n_views > PAIR_ALL, grows = b->a.n_lenses == 1 || !finds_lenses(b);
+    set_priors(b);
+    err_t e = grows && !many && b->n_views > SEED ? from_tracks(b, SEED) : OK;
     for (int k = 0; k < 3 && !e; k++) {
         double most = 0;
-        for (int i = 0; i < b->a.n_lenses; i++)
-            b->a.lens[i].prior_focal = log(b->start[i].fx);
-        e = from_cores(b);
+        set_priors(b);
+        e = many ? OK : from_tracks(b, 0);
+        if (!e && (many || (b->n_views > CORE && count_placed(b) < b->n_views)))
+            e = from_tracks(b, CORE);
         for (int i = 0; i < b->a.n_lenses; i++) {
             const struct lens *l = &b->a.lens[i].lens;
             most = fmax(most, fabs(log(l->fx / b->start[i].fx)));
