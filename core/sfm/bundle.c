@@ -576,12 +576,6 @@ static int count_placed(const struct bundle *b)
     return n;
 }
 
-static void set_priors(struct bundle *b)
-{
-    for (int i = 0; i < b->a.n_lenses; i++)
-        b->a.lens[i].prior_focal = log(b->start[i].fx);
-}
-
 /* From a few views, whose points tell the scale of all others, unless there are lenses of which the
  * few tell nothing. Then all centres at once, as long as that places all views; along walks it does
  * not. Relative poses for a wrong focal length are wrong, and adjustment then converges slowly: so
@@ -589,12 +583,15 @@ static void set_priors(struct bundle *b)
 static err_t from_focals(struct bundle *b)
 {
     const bool many = b->n_views > PAIR_ALL, grows = b->a.n_lenses == 1 || !finds_lenses(b);
-    set_priors(b);
-    err_t e = grows && !many && b->n_views > SEED ? from_tracks(b, SEED) : OK;
+    err_t e = OK;
     for (int k = 0; k < 3 && !e; k++) {
         double most = 0;
-        set_priors(b);
-        e = many ? OK : from_tracks(b, 0);
+        for (int i = 0; i < b->a.n_lenses; i++)
+            b->a.lens[i].prior_focal = log(b->start[i].fx);
+        if (k == 0 && grows && !many && b->n_views > SEED)
+            e = from_tracks(b, SEED);
+        if (!e && !many)
+            e = from_tracks(b, 0);
         if (!e && (many || (b->n_views > CORE && count_placed(b) < b->n_views)))
             e = from_tracks(b, CORE);
         for (int i = 0; i < b->a.n_lenses; i++) {

@@ -67,13 +67,6 @@ struct comparison {
 
 /* ---- light ---- */
 
-/* Whether some of a pixel of the map is masked. */
-static bool is_masked(const struct comparison *c, int view, int i)
-{
-    const int s = c->d->scale, w = c->d->extent[view].w;
-    return views_hides_any(c->v, view, i % w * s, i / w * s, s);
-}
-
 /* Log2 of the radiance of a pixel of the map. False: some of it is black, saturated or masked. */
 static bool mean_light(const struct comparison *c, int view, int i, float *out)
 {
@@ -90,7 +83,7 @@ static bool mean_light(const struct comparison *c, int view, int i, float *out)
         }
     }
     *out = sum / (float)(3 * s * s);
-    return weight > WEIGHT && !is_masked(c, view, i);
+    return weight > WEIGHT && !sweep_hides(c->d, c->v, view, i);
 }
 
 /* In place, n pixels that are `step` apart, by binomial weights. */
@@ -246,7 +239,7 @@ static void draw_light(const struct comparison *c, int of, int view, float *ligh
         struct projected p;
         light[i] = NAN;
         if (get_point(c, of, view, i, point) && visibility_project(&c->vis, view, point, &p) &&
-            !is_masked(c, view, (int)(p.at - c->d->extent[view].at)))
+            !sweep_hides(c->d, c->v, view, (int)(p.at - c->d->extent[view].at)))
             light[i] = light_at(c, view, p.u / s, p.v / s);
     }
 }

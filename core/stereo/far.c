@@ -104,8 +104,7 @@ static err_t read_view(void *ctx, int i, int worker)
         size_t at = (size_t)(k / map->w) * scale * (size_t)full + (size_t)(k % map->w) * scale;
         struct colour *to = &s->colour[map->at + (size_t)k];
         *to = mean_colour(s, views_rgb(s->v, i) + 3 * at, full, shift);
-        to->hidden = views_hides_any(s->v, i, k % map->w * s->d->scale, k / map->w * s->d->scale,
-                                     s->d->scale);
+        to->hidden = sweep_hides(s->d, s->v, i, k);
         if (to->blown != 7 && !to->hidden)
             sorted[n++] = to->light;
     }

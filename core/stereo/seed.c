@@ -575,7 +575,7 @@ static void clear_marks(struct seed *s)
     for (int i = 0; i < v->n && v->masked; i++) {
         const struct extent *map = &d->extent[i];
         for (int k = 0; k < map->w * map->h; k++)
-            if (views_hides_any(v, i, k % map->w * d->scale, k / map->w * d->scale, d->scale))
+            if (sweep_hides(d, v, i, k))
                 s->mark[map->at + (size_t)k] = COVERED | EXPLAINED;
     }
 }

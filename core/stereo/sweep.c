@@ -245,7 +245,7 @@ static err_t make_light_map(void *ctx, int i, int worker)
         size_t at = (size_t)(k / w) * scale * (size_t)full + (size_t)(k % w) * scale;
         float *px = s->light_map[0][i].px + 2 * (size_t)k;
         mean_light(s, views_rgb(s->v, i) + 3 * at, full, shift, px);
-        if (views_hides_any(s->v, i, k % w * (int)scale, k / w * (int)scale, (int)scale))
+        if (sweep_hides(s->out, s->v, i, k))
             px[0] = px[1] = 0;
     }
     shrink_light_map(&s->light_map[0][i], &s->light_map[1][i]);

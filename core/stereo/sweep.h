@@ -27,6 +27,13 @@ struct depthmaps {
     bool *far; // (n) maps (h, w): sees what is infinitely far (core/stereo/far.h); NULL: not known
 };
 
+/* Whether the mask hides some of pixel i of the view's map. */
+static inline bool sweep_hides(const struct depthmaps *d, const struct views *v, int view, int i)
+{
+    const int w = d->extent[view].w;
+    return views_hides_any(v, view, i % w * d->scale, i / w * d->scale, d->scale);
+}
+
 /* Depth of every view.
  * out:  maps live in r->keep. A single view, cameras in one place or without overlap give smooth
  *       guesses with conf 0.
