@@ -5,7 +5,8 @@
  * Two groups of two photographs or more are found if photographs of one agree much better than
  * photographs of different groups by one camera, as near to each other and at exposures as similar,
  * and if neither group has the longer exposures: what a camera or its curve does, or gloss that
- * another place sees, is not taken for light.
+ * another place sees, is not taken for light. Nor is chance: groups that half of the squares tell
+ * must differ in the other half, either way.
  * Pure computation, single thread. thread: any. */
 #ifndef REFINE_LIGHT_CHANGE_H
 #define REFINE_LIGHT_CHANGE_H
