@@ -410,21 +410,25 @@ static void fix_unknown(double *s, int n, int k, double *rhs)
     rhs[k] = 0;
 }
 
-/* Expected value of an unknown of a lens less its present one, and the weight of that. */
-static double prior_gap(const struct adjust_lens *l, int unknown, double *weight)
+/* Expected value of an unknown of a lens less its present one; its weight, and what that is
+ * multiplied with where the gap is not credible (Geman-McClure). */
+static double prior_gap(const struct adjust_lens *l, int unknown, double *weight, double *doubt)
 {
     const double term = l->lens.model == LENS_OPENCV_FISHEYE ? FISHEYE_PRIOR : TERM_PRIOR;
+    const double focal = l->prior_focal - log(l->lens.fx);
     *weight = unknown == 0 ? l->prior : unknown < ADJUST_CENTRE ? term : CENTRE_PRIOR / l->lens.fx;
+    *doubt = unknown == 0 && l->prior_reach > 0 ? 1 / (1 + pow(focal / l->prior_reach, 2)) : 1;
     if (unknown >= ADJUST_CENTRE)
         return unknown == ADJUST_CENTRE ? -l->lens.cx : -l->lens.cy;
-    return unknown == 0 ? l->prior_focal - log(l->lens.fx) : -l->lens.term[unknown - 1];
+    return unknown == 0 ? focal : -l->lens.term[unknown - 1];
 }
 
 static void add_priors(const struct normal *m, double *s)
 {
     for (int i = 0; i < m->a->n_lenses; i++)
         for (int p = 0, k = m->at[i]; p < ADJUST_LENS; p++) {
-            double weight, gap = prior_gap(&m->a->lens[i], p, &weight);
+            double weight, doubt, gap = prior_gap(&m->a->lens[i], p, &weight, &doubt);
+            weight *= doubt;
             if (!m->a->lens[i].free[p])
                 continue;
             s[(size_t)k * (size_t)m->n + (size_t)k] += weight * weight;
@@ -535,8 +539,8 @@ static double prior_cost(const struct adjust *a)
     double sum = 0;
     for (int i = 0; i < a->n_lenses * ADJUST_LENS; i++) {
         const struct adjust_lens *l = &a->lens[i / ADJUST_LENS];
-        double weight, d = prior_gap(l, i % ADJUST_LENS, &weight);
-        sum += l->free[i % ADJUST_LENS] ? 0.5 * d * d * weight * weight : 0;
+        double weight, doubt, d = prior_gap(l, i % ADJUST_LENS, &weight, &doubt);
+        sum += l->free[i % ADJUST_LENS] ? 0.5 * d * d * weight * weight * doubt : 0;
     }
     return sum;
 }

@@ -22,6 +22,7 @@ struct adjust_lens {
     bool free[ADJUST_LENS];    // which unknowns move
     double frame;              // px from the middle to the corners of its photographs; 0: not known
     double prior_focal, prior; // expected ln focal length, and its weight: 1 / deviation
+    double prior_reach; // of ln focal length: farther off the expectation is wrong; 0: it is not
 };
 
 /* Poses are R row-major and t of X_cam = R X + t; points are homogeneous (x, y, z, w) of length 1

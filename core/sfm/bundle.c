@@ -29,9 +29,6 @@ enum {
     CORE = 12      // that it begins with where these do not lead to all
 };
 
-/* Focal length over picture size: 120 degrees of a fisheye. */
-static const double ANGLE120 = 0.477464829275686;
-
 /* ---- input ---- */
 
 static err_t check_tracks(int n_views, const struct match_tracks *t)
@@ -67,34 +64,6 @@ static bool are_usable(const struct camera *start, int n)
             return false;
     }
     return n > 0;
-}
-
-static bool is_fisheye(const struct bundle *b, int lens)
-{
-    return b->cfg->lens[lens].start.model == LENS_OPENCV_FISHEYE;
-}
-
-static double usual_focal(const struct bundle *b, int lens)
-{
-    for (int v = 0; v < b->n_views; v++)
-        if (b->a.lens_of[v] == lens)
-            return (is_fisheye(b, lens) ? ANGLE120 : BUNDLE_FOCAL) *
-                   num_max(b->v->extent[v].w, b->v->extent[v].h);
-    return BUNDLE_FOCAL * b->v->size;
-}
-
-/* Focal length of a lens that the first attempt begins with. */
-static double start_focal(const struct bundle *b, int lens)
-{
-    float f[BUNDLE_VIEWS_MAX];
-    int n = 0;
-    const double given = b->cfg->lens[lens].start.fx;
-    if (given > 0 && isfinite(given))
-        return given;
-    for (int i = 0; i < b->n_views && b->cfg->start; i++)
-        if (b->a.lens_of[i] == lens)
-            f[n++] = sqrtf(b->cfg->start[i].fx * b->cfg->start[i].fy * bundle_aspect(b));
-    return n ? (double)num_median(f, (size_t)n) : usual_focal(b, lens);
 }
 
 /* Observations in the form of struct adjust. */
@@ -311,7 +280,7 @@ static void keep_better(struct bundle *b, bool from_tracks)
     struct answer *w = &b->best;
     const struct adjust *a = &b->a;
     double all, score = bundle_result_redundancy(b, b->a.in, true, &all);
-    if (score <= w->score)
+    if (score <= w->score * b->margin)
         return;
     w->score = score;
     memcpy(w->lens, a->lens, (size_t)a->n_lenses * sizeof *w->lens);
@@ -587,7 +556,7 @@ static err_t from_focals(struct bundle *b)
     for (int k = 0; k < 3 && !e; k++) {
         double most = 0;
         for (int i = 0; i < b->a.n_lenses; i++)
-            b->a.lens[i].prior_focal = log(b->start[i].fx);
+            bundle_start_expect(b, i);
         if (k == 0 && grows && !many && b->n_views > SEED)
             e = from_tracks(b, SEED);
         if (!e && !many)
@@ -605,63 +574,19 @@ static err_t from_focals(struct bundle *b)
     return e;
 }
 
-/* Views are as large as the photographs they were resampled from. */
-static double frame_of(const struct bundle *b, int lens)
-{
-    double most = 0;
-    for (int v = 0; v < b->n_views; v++)
-        if (b->a.lens_of[v] == lens)
-            most = fmax(
-                most, 0.5 * hypot(b->v->extent[v].w, b->v->extent[v].h * (double)bundle_aspect(b)));
-    return most;
-}
-
-/* Lenses as the first attempt knows them. */
-static err_t set_starts(struct bundle *b)
-{
-    err_t e = OK;
-    for (int i = 0; i < b->a.n_lenses; i++) {
-        const struct bundle_lens *known = &b->cfg->lens[i];
-        struct adjust_lens *l = &b->a.lens[i];
-        b->start[i] = known->start;
-        b->start[i].fx = b->start[i].fy = start_focal(b, i);
-        if (!e)
-            e = lens_init(&b->start[i]);
-        l->frame = frame_of(b, i);
-        l->prior_focal = log(b->start[i].fx);
-        l->prior = known->start.fx > 0 && !known->focal_guessed ? 10 : b->cfg->start ? 4 : 2;
-        l->lens = b->best.lens[i].lens = b->start[i];
-    }
-    free_focals(b, !b->cfg->focal_known);
-    return e;
-}
-
-/* Start from the usual focal lengths where nothing was known. False if it is the same start. */
-static bool set_usual(struct bundle *b)
-{
-    bool other = false;
-    for (int i = 0; i < b->a.n_lenses; i++) {
-        const struct bundle_lens *known = &b->cfg->lens[i];
-        const double first = start_focal(b, i), usual = usual_focal(b, i);
-        const bool sure =
-            known->start.fx > 0 && (!known->focal_guessed || lens_distorts(&known->start));
-        b->start[i].fx = b->start[i].fy = sure ? first : usual;
-        other = other || (!sure && fabs(log(first / usual)) > 0.05);
-    }
-    return other;
-}
-
 static err_t run_starts(struct bundle *b)
 {
+    free_focals(b, !b->cfg->focal_known);
+    b->margin = 1;
     if (b->cfg->rig_known)
         return from_rig(b);
     err_t e = b->cfg->start ? from_cameras(b) : OK;
-    free_focals(b, !b->cfg->focal_known);
     if (!e)
         e = from_focals(b);
     /* a network's focal length may be worse than none */
-    if (!e && set_usual(b))
+    if (!e && bundle_start_usual(b))
         e = from_focals(b);
+    b->margin = 1;
     return e;
 }
 
@@ -771,7 +696,7 @@ err_t bundle_run(const struct run *r, const struct views *v, const struct match_
         e = load_tracks(&b);
     b.selfcal = out->selfcal;
     if (!e)
-        e = set_starts(&b);
+        e = bundle_start_known(&b);
     if (!e && tracks->n > 0)
         e = run_starts(&b);
     if (!e && own.find_distortion && b.best.score > 0)

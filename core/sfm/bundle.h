@@ -19,7 +19,7 @@ enum { BUNDLE_VIEWS_MAX = 512 };
  * they were taken. */
 struct bundle_lens {
     struct lens start;  // fx 0: from the cameras of the start, else that of 60 degrees
-    bool focal_guessed; // fx is a guess; else it is right within some percent
+    bool focal_guessed; // fx is a guess from the matches; else it is right within some percent
 };
 
 struct bundle_config {

@@ -32,6 +32,7 @@ struct bundle {
     float *sorted; // (observations)
     struct answer best;
     double scale;
+    double margin;          // score of a better answer over that of the best
     struct bundle_lens one; // if the caller knows of none
     struct lens *start;     // (n_lenses) that the present attempt begins with
     struct selfcal_lens *selfcal;
@@ -56,6 +57,16 @@ static inline float bundle_depth_at(const struct bundle *b, const struct match_o
     const int y = (int)fminf(fmaxf(s->v, 0), (float)(px->h - 1));
     return b->cfg->start_depth[px->at + (size_t)y * (size_t)px->w + (size_t)x];
 }
+
+/* Lenses as the first attempt knows them. */
+MUST_USE err_t bundle_start_known(struct bundle *b);
+
+/* Lenses of the usual focal lengths, where these are not sure; answers from there must be clearly
+ * better than one that agrees with EXIF. False if it is the same start. */
+bool bundle_start_usual(struct bundle *b);
+
+/* All attempts expect a focal length that is known, else each the one it begins with. */
+void bundle_start_expect(struct bundle *b, int lens);
 
 /* Redundancy of the observations that are `in`, and of all; with `soft`, those near the gate count
  * less. */

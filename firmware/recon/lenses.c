@@ -83,8 +83,7 @@ static struct bundle_lens lens_before(const struct shot *s, const struct extent 
 {
     const bool fisheye = cfg->lens == RECIPE_LENS_FISHEYE;
     return (struct bundle_lens){.start = {.model = fisheye ? LENS_OPENCV_FISHEYE : LENS_PINHOLE,
-                                          .fx = expected_focal(s, px, cfg)},
-                                .focal_guessed = cfg->fov_deg <= 0};
+                                          .fx = expected_focal(s, px, cfg)}};
 }
 
 void lenses_group(struct lenses *l, const struct capture *c, const struct views *v,

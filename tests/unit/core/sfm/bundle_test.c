@@ -182,6 +182,8 @@ static void what_is_known_stays(void **unused)
     }
     run_ok(&j, &(struct bundle_config){KNOWN_LENS(390), .focal_known = true});
     assert_true(j.out.cams[0].fx == 390);
+    run_ok(&j, &(struct bundle_config){KNOWN_LENS(2 * 381)}); // of a photograph that was cut
+    assert_right(&j, 0.1, 0.01, 0.02);
     job_free(&j);
 }
 
@@ -602,6 +604,51 @@ static void down_a_street(void **unused)
     }
 }
 
+/* One point of a field with furrows, and its tracks through a lens. */
+static void add_field_point(struct job *j, const struct lens *lens)
+{
+    struct match_tracks *t = &j->tracks.t;
+    struct match_observation *obs = t->obs + t->n;
+    const double x[3] = {scene_uniform(-3, 6), scene_uniform(-3, 5), 4 + scene_uniform(0, 0.3)};
+    double u, v;
+    int n = 0;
+    for (int k = 0; k < j->rig.n_views; k++) {
+        if (!scene_see(&j->rig.cams[k], lens, x, &u, &v) || scene_uniform(0, 1) > 0.6)
+            continue;
+        obs[n++] =
+            (struct match_observation){t->n_tracks, k, (float)(u + j->rig.noise * scene_normal()),
+                                       (float)(v + j->rig.noise * scene_normal()), 0.5f};
+    }
+    t->n += n > 1 ? n : 0;
+    t->n_tracks += n > 1;
+}
+
+/* Straight down on a field, focal length and height tell little of each other: what is known of the
+ * lens must not be lost to what it bends. */
+static void above_a_field(void **unused)
+{
+    (void)unused;
+    struct job j = {.rig = make_room(900, 300, 0.1, 0)};
+    struct lens bent = {.model = LENS_SIMPLE_RADIAL, .fx = 300, .fy = 300, .term = {-0.05}};
+    assert_int_equal(lens_init(&bent), OK);
+    j.rig.n_views = 12;
+    scene_state = 5;
+    for (int v = 0; v < 12; v++) {
+        const double from[3] = {v % 4 + scene_uniform(-0.1, 0.1), v / 4 + scene_uniform(-0.1, 0.1),
+                                scene_uniform(-0.05, 0.05)};
+        const double to[3] = {from[0] + scene_uniform(-0.1, 0.1),
+                              from[1] + scene_uniform(-0.1, 0.1), 4};
+        j.rig.cams[v] = scene_look(from, to, 300);
+    }
+    j.tracks.t.obs = calloc((size_t)(j.rig.n_points * 12), sizeof *j.tracks.t.obs);
+    for (int i = 0; i < j.rig.n_points; i++)
+        add_field_point(&j, &bent);
+    run_ok(&j, &(struct bundle_config){KNOWN_LENS(318)});
+    assert_int_equal(j.out.n_placed, 12);
+    assert_true(fabs((double)j.out.cams[0].fx / 300 - 1) < 0.05);
+    job_free(&j);
+}
+
 /* All points on one slanted wall. */
 static void a_wall(void **unused)
 {
@@ -725,6 +772,7 @@ int main(void)
         cmocka_unit_test(two_and_three_views),
         cmocka_unit_test(centres_in_a_row),
         cmocka_unit_test(down_a_street),
+        cmocka_unit_test(above_a_field),
         cmocka_unit_test(a_wall),
         cmocka_unit_test(every_match_wrong),
         cmocka_unit_test(start_that_is_no_number),
