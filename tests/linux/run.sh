@@ -83,8 +83,8 @@ elif ! try uml; then
 fi
 echo "kernels under $bench: ${made##*/}"
 
-# Whether the kernel fell over itself, as User Mode Linux does now and then when a signal reaches its
-# own code; the end of the first process is another panic.
+# Whether the kernel fell over itself, as User Mode Linux does now and then when a signal reaches
+# its own code; the end of the first process is another panic.
 is_crash() { # log
     grep 'Kernel panic - not syncing: ' "$1" | grep -qv 'Attempted to kill init'
 }
