@@ -7,6 +7,8 @@
 
 #include <math.h>
 
+enum { HALVINGS = 48 }; // of the range of a coordinate
+
 void pose_twist_grad(const struct camera *c, const float grad[POSE_GRAD], float out[6])
 {
     float r[9], a[9];
@@ -58,18 +60,34 @@ static const float *mean_of(const struct gaussians *g, int i, float x[3])
     return x;
 }
 
+/* Of one coordinate of the splats that are not of the shell; by halving, since there is no room to
+ * sort them. */
+static double median_mean(const struct gaussians *g, const struct shell *shell, int k)
+{
+    double lo = INFINITY, hi = -INFINITY;
+    float x[3];
+    for (int i = 0; i < g->n; i++)
+        if (!shell_has(shell, mean_of(g, i, x))) {
+            lo = fmin(lo, (double)x[k]);
+            hi = fmax(hi, (double)x[k]);
+        }
+    for (int step = 0; step < HALVINGS && lo < hi; step++) {
+        const double middle = 0.5 * (lo + hi);
+        int more = 0;
+        for (int i = 0; i < g->n; i++)
+            if (!shell_has(shell, mean_of(g, i, x)))
+                more += (double)x[k] > middle ? 1 : -1;
+        *(more > 0 ? &lo : &hi) = middle;
+    }
+    return lo <= hi ? 0.5 * (lo + hi) : 0;
+}
+
 float pose_extent(const struct gaussians *g, const struct camera *cams, int n)
 {
     const struct shell shell = shell_of(cams, n);
-    double c[3] = {0}, sum = 0;
-    int near = 0;
-    for (int i = 0; i < g->n; i++)
-        near += !shell_has(&shell, mean_of(g, i, (float[3]){0}));
-    for (int i = 0; i < g->n; i++) {
-        float x[3];
-        for (int k = 0; k < 3 && !shell_has(&shell, mean_of(g, i, x)); k++)
-            c[k] += (double)x[k] / near;
-    }
+    double c[3], sum = 0;
+    for (int k = 0; k < 3; k++)
+        c[k] = median_mean(g, &shell, k);
     for (int i = 0; i < n; i++) {
         float r[9];
         double d2 = 0;

@@ -14,8 +14,9 @@ void pose_twist_grad(const struct camera *c, const float grad[POSE_GRAD], float 
 /* c <- twist applied to c; the quaternion stays unit. A twist that is not finite does nothing. */
 void pose_move(struct camera *c, const float twist[6]);
 
-/* Mean distance from the cameras to the centre of mass of the splats inside the shell
- * (core/base/shell.h), scene units: the unit of steps of positions. 1 if it is 0 or not finite. */
+/* Mean distance from the cameras to the middle of the splats inside the shell (core/base/shell.h),
+ * the median of each coordinate, scene units: the unit of steps of positions. Few far ones do not
+ * count, for near ones would not settle. 1 if it is 0 or not finite. */
 float pose_extent(const struct gaussians *g, const struct camera *cams, int n);
 
 /* Same view at another picture size. */

@@ -228,12 +228,36 @@ static void test_scaled(void **state)
     assert_true(c.w == 640 && c.fx == 500);
 }
 
+/* A wall 4 before a row of cameras; what is far behind it, a fifth of all, and the sky. */
+static void test_extent(void **state)
+{
+    enum { N = 500 };
+    static float plane[3][N];
+    struct gaussians g = {.n = N};
+    struct camera cams[3];
+    (void)state;
+    for (int v = 0; v < 3; v++)
+        cams[v] = (struct camera){640, 480, 500, 500, 320, 240, {1, 0, 0, 0}, {1 - (float)v, 0, 0}};
+    for (int k = 0; k < 3; k++)
+        g.plane[G_MU + k] = plane[k];
+    for (int i = 0; i < N; i++) {
+        plane[0][i] = (float)uniform(-2, 2);
+        plane[1][i] = (float)uniform(-2, 2);
+        plane[2][i] = i % 5 ? 4 : i % 10 ? 60 : 290;
+    }
+    assert_float_equal(pose_extent(&g, cams, 3), 4.08f, 0.05f);
+    g.n = 0;
+    assert_float_equal(pose_extent(&g, cams, 3), 2.0f / 3, 1e-5f);
+    assert_true(pose_extent(&g, cams + 1, 1) == 1);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_gradient),   cmocka_unit_test(test_move),
         cmocka_unit_test(test_half_turns), cmocka_unit_test(test_many_moves),
         cmocka_unit_test(test_not_finite), cmocka_unit_test(test_scaled),
+        cmocka_unit_test(test_extent),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
