@@ -60,7 +60,7 @@ static void photographs_are_grouped(void **state)
     assert_true(fabs(l.lens[0].start.fx - 320) < 1e-9); // of views half as large
     assert_true(l.lens[1].start.fx == 0);
     lenses_group(&l, &c, &v, &(struct job_config){.fov_deg = 90});
-    assert_true(fabs(l.lens[0].start.fx - 200) < 1e-4);
+    assert_true(fabs(l.lens[0].start.fx - 200) < 1e-4 && !l.lens[0].focal_guessed);
     lenses_group(&l, &c, &v, &(struct job_config){.fov_deg = 90, .lens = RECIPE_LENS_FISHEYE});
     assert_true(fabs(l.lens[0].start.fx - 200 / (3.14159265358979 / 4)) < 1e-4);
     assert_int_equal(l.lens[0].start.model, LENS_OPENCV_FISHEYE);
