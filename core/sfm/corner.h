@@ -11,7 +11,7 @@ enum {
     CORNER_FOUND = 4,  // levels that are searched for corners, from the finest on
     CORNER_DESCRIPTOR =
         256,              // numbers of a descriptor: two surroundings of 4 x 4 cells x 8 directions
-    CORNER_MAX = 1536,    // corners of a view
+    CORNER_MAX = 2560,    // corners of a view
     CORNER_SIZE_MIN = 64, // px, of a view
     CORNER_TURNS = 8,     // directions that a descriptor can be turned to
     CORNER_TILTS = 4,     // directions that a view is stretched in

@@ -77,7 +77,7 @@ static void take_over(struct views *large, struct job_result *out)
 }
 
 err_t enlarge_run(const struct run *r, const struct capture *c, const struct job_config *cfg,
-                  const struct recipe *recipe, struct job_result *out)
+                  struct prep_size size, struct job_result *out)
 {
     struct chosen chosen = {.from = cfg->source};
     const struct prep_source *from = cfg->source;
@@ -90,8 +90,7 @@ err_t enlarge_run(const struct run *r, const struct capture *c, const struct job
     struct views large;
     err_t e = choose_photographs(c, &out->views, &chosen);
     if (!e)
-        e = prep_read(r, &chosen.c, cfg->source ? &source : NULL,
-                      (struct prep_size){recipe->size, recipe->square}, &large);
+        e = prep_read(r, &chosen.c, cfg->source ? &source : NULL, size, &large);
     free(chosen.shot);
     free(chosen.c.shots);
     if (e)
@@ -101,7 +100,7 @@ err_t enlarge_run(const struct run *r, const struct capture *c, const struct job
 }
 
 void enlarge_plan(struct plan *p, const struct capture *c, const struct prep_source *from,
-                  const struct recipe *recipe)
+                  struct prep_size size)
 {
-    prep_plan_capture(p, c, from, (struct prep_size){recipe->size, recipe->square});
+    prep_plan_capture(p, c, from, size);
 }

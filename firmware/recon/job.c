@@ -140,7 +140,7 @@ static err_t enlarge_views(const struct run *r, const struct capture *c, const s
 {
     err_t e = OK;
     if (s->recipe->size > s->recipe->work)
-        e = enlarge_run(r, c, s->cfg, s->recipe, out);
+        e = enlarge_run(r, c, s->cfg, (struct prep_size){s->recipe->size, s->recipe->square}, out);
     job_result_lap(out, JOB_PREPROCESS);
     return e;
 }
@@ -164,7 +164,7 @@ static err_t choose_within_budget(const struct run *r, const struct start *s, st
     err_t e = budget_choose(r, s->capture, s->cfg, recipe, out);
     if (!e)
         e = agree_scene(r, &out->scene, "before refinement");
-    recipe_tell_size(recipe, s->capture, out->sizing, sizeof out->sizing);
+    recipe_tell_size(recipe, s->capture, out->cameras.edge, out->sizing, sizeof out->sizing);
     return e;
 }
 
@@ -273,11 +273,15 @@ static err_t shape_views(const struct capture *c, const struct job_config *cfg,
     return OK;
 }
 
-/* small, large: the views of `work` and of `size`. */
+/* Views of `work`, `closer` and `size`. */
+struct job_views {
+    struct views small, closer, large;
+};
+
 static void plan_steps(struct plan *p, const struct capture *c, const struct job_config *cfg,
-                       const struct recipe *recipe, const struct views *small,
-                       const struct views *large)
+                       const struct recipe *recipe, const struct job_views *v)
 {
+    const struct views *small = &v->small, *large = &v->large;
     const struct extent most = extent_cover(large->extent, large->n);
     float *db;
     prep_plan_capture(p, c, cfg->source, (struct prep_size){recipe->work, recipe->square});
@@ -287,9 +291,9 @@ static void plan_steps(struct plan *p, const struct capture *c, const struct job
     exposure_stack_choose_plan(p, small);
     if (recipe->check)
         verify_plan(p, small);
-    start_plan(p, cfg, recipe, small, lenses_count(c));
+    start_plan(p, c, cfg, recipe, small, &v->closer);
     if (recipe->size > recipe->work)
-        enlarge_plan(p, c, cfg->source, recipe);
+        enlarge_plan(p, c, cfg->source, (struct prep_size){recipe->size, recipe->square});
     uint8_t *cells;
     if (recipe->refine && layout_left_out(&cells, &p->keep, large))
         plan_refuse(p);
@@ -312,16 +316,19 @@ err_t job_plan(const struct capture *c, const struct job_config *cfg, int thread
     const struct recipe recipe = recipe_choose(c, cfg, tapped);
     struct plan p = plan_begin(threads);
     p.team = team;
-    struct views small = {.extent = NULL}, large = {.extent = NULL};
+    struct job_views v = {0};
     e = recipe_check(&recipe, c);
     if (!e)
-        e = shape_views(c, cfg, &recipe, recipe.work, &small);
+        e = shape_views(c, cfg, &recipe, recipe.work, &v.small);
     if (!e)
-        e = shape_views(c, cfg, &recipe, recipe.size, &large);
+        e = shape_views(c, cfg, &recipe, num_max(recipe.work, recipe.closer), &v.closer);
     if (!e)
-        plan_steps(&p, c, cfg, &recipe, &small, &large);
-    free(small.extent);
-    free(large.extent);
+        e = shape_views(c, cfg, &recipe, recipe.size, &v.large);
+    if (!e)
+        plan_steps(&p, c, cfg, &recipe, &v);
+    free(v.small.extent);
+    free(v.closer.extent);
+    free(v.large.extent);
     if (e)
         return e;
     const bool weights = recipe.network || recipe.complete;
@@ -340,6 +347,7 @@ static void report_cameras(const struct job_cameras *c, struct report *rep)
         return;
     report_open(rep, "cameras", '{');
     report_number(rep, "confidence", (double)c->confidence);
+    report_int(rep, "edge_px", c->edge);
     report_number(rep, "rms_px", (double)c->rms_px);
     report_int(rep, "points_seen", c->observations);
     report_int(rep, "points_agree", c->inliers);

@@ -42,6 +42,7 @@ struct job_cameras {
     float rms_px;
     int inliers, observations; // of points in views
     int placed;                // views
+    int edge;                  // px, of the views they were found in
 };
 
 /* A lens that was found. */

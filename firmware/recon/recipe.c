@@ -62,8 +62,12 @@ static int longest_edge(const struct capture *c)
 
 static void choose_sizes(const struct capture *c, const struct job_config *cfg, struct recipe *out)
 {
+    const int longest = longest_edge(c);
     out->work = out->square ? cfg->size : recipe_work(cfg);
-    out->size = num_max(out->work, num_min(cfg->size, longest_edge(c)));
+    out->closer = 0;
+    if (out->cameras == RECIPE_BUNDLE && !out->square)
+        out->closer = 2 * out->work;
+    out->size = num_max(out->work, num_min(cfg->size, longest));
     out->refinement.levels = 2;
     while (!out->square && out->refinement.levels < REFINE_LEVELS &&
            out->size >> out->refinement.levels >= LEVEL_SIZE)
@@ -132,11 +136,17 @@ int recipe_work(const struct job_config *cfg)
     return square ? cfg->size : num_min(cfg->size, WORK_SIZE);
 }
 
-void recipe_tell_size(const struct recipe *recipe, const struct capture *c, char *text, size_t cap)
+void recipe_tell_size(const struct recipe *recipe, const struct capture *c, int cameras, char *text,
+                      size_t cap)
 {
     const int n = snprintf(text, cap, "pictures of %d px, from photographs of up to %d px",
                            recipe->size, longest_edge(c));
-    if (recipe->work < recipe->size && n > 0 && (size_t)n < cap)
+    if (n < 0 || (size_t)n >= cap)
+        return;
+    if (cameras > recipe->work)
+        snprintf(text + n, cap - (size_t)n, "; cameras at %d px, depth at %d px", cameras,
+                 recipe->work);
+    else if (recipe->work < recipe->size)
         snprintf(text + n, cap - (size_t)n, "; cameras and depth at %d px", recipe->work);
 }
 

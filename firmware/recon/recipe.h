@@ -62,6 +62,7 @@ struct recipe {
     bool tapped;     // run.tap is set: tensors are dumped
     bool square;     // views are squares: a network's depth or Gaussians belong to their pixels
     int size, work;  // px, longest edge of the views: of refinement; of what comes before it
+    int closer;      // of those where cameras are looked for again if some lack one, 0: never
     int places;      // camera positions: brackets count once
     int gaussians_max, degree_max;   // of the scene
     struct refine_config refinement; // as requested, bounded by the number of pixels
@@ -93,8 +94,9 @@ int recipe_size(const struct job_config *cfg, const struct capture *c);
 /* Pixels of one view of each place. */
 long long recipe_pixels(const struct capture *c, struct prep_size size);
 
-/* A sentence about the sizes of pictures. */
-void recipe_tell_size(const struct recipe *recipe, const struct capture *c, char *text, size_t cap);
+/* A sentence about the sizes of pictures. cameras: px, of the views they were found in, 0: not. */
+void recipe_tell_size(const struct recipe *recipe, const struct capture *c, int cameras, char *text,
+                      size_t cap);
 
 /* Longest edge, px, of the views that cameras and depth are found in. */
 int recipe_work(const struct job_config *cfg);

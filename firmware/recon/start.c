@@ -6,6 +6,7 @@
 #include "firmware/recon/completion.h"
 #include "firmware/recon/contradiction.h"
 #include "firmware/recon/dump.h"
+#include "firmware/recon/enlarge.h"
 #include "firmware/recon/figures.h"
 #include "firmware/recon/locate.h"
 #include "firmware/recon/shading.h"
@@ -151,7 +152,8 @@ static void report_bundle(struct start *s)
                                            .rms_px = b->rms_px,
                                            .inliers = b->inliers,
                                            .observations = b->observations,
-                                           .placed = b->n_placed};
+                                           .placed = b->n_placed,
+                                           .edge = s->out->cameras.edge};
     if (b->confidence < LOCATE_CONFIDENT)
         job_result_warn(s->out, "cameras are a guess: %s, or give the cameras with --rig PATH",
                         why_not_located(&s->out->views, b, text));
@@ -186,7 +188,8 @@ static void warn_of_unplaced(struct start *s)
     }
 }
 
-/* A view that shares too few points with the others would only spoil the scene. */
+/* A view that shares too few points with the others would only spoil the scene: tracks do not tell
+ * where it stood; a network does, and may be as right as those that are a guess. */
 static err_t drop_unplaced_views(struct start *s)
 {
     const struct run *r = s->run;
@@ -196,7 +199,7 @@ static err_t drop_unplaced_views(struct start *s)
     const size_t mark = arena_mark(r->tmp);
     bool *keep;
     int n = 0;
-    if (b->confidence < LOCATE_CONFIDENT || b->n_placed < 2)
+    if (b->n_placed < 2 || (b->confidence < LOCATE_CONFIDENT && !b->from_tracks))
         return OK;
     err_t e = arena_alloc(r->tmp, (size_t)(v->n + v->n_more), sizeof *keep, &keep);
     if (e)
@@ -237,15 +240,16 @@ static err_t refuse_cameras(const struct bundle_result *b, const struct views *v
                     why_not_located(v, b, text));
 }
 
-/* One attempt on the views as they are. */
+/* One attempt on the views as they are. again: through lenses that are known by now. */
 static err_t locate_views(struct start *s, bool again)
 {
     const struct run *r = s->run;
     const struct views *v = &s->out->views;
     const struct lenses *l = &s->lenses;
     const bool known = v->cams != NULL, depth = s->recipe->depth == RECIPE_NETWORK;
+    const bool alone = again || s->closer; // a network saw other views
     const struct bundle_config want = {.start = known   ? v->cams
-                                                : again ? NULL
+                                                : alone ? NULL
                                                         : s->p.geom.cams,
                                        .start_depth = depth ? s->p.geom.depth : NULL,
                                        .n_lenses = l->n,
@@ -260,7 +264,7 @@ static err_t locate_views(struct start *s, bool again)
     struct start_merged merged;
     err_t e = exposure_stack_merge(r, v, &s->out->response, &merged.views, &merged.tone);
     if (!e)
-        e = locate_run(r, &merged.views, s->p.matches.token && !again ? &s->p.matches : NULL, &want,
+        e = locate_run(r, &merged.views, s->p.matches.token && !alone ? &s->p.matches : NULL, &want,
                        &s->bundle);
     arena_reset(r->tmp, s->tmp);
     return e;
@@ -287,6 +291,81 @@ static err_t locate_through_lenses(struct start *s)
     return e;
 }
 
+static void take_cameras(struct start *s)
+{
+    const struct views *v = &s->out->views;
+    const struct extent most = extent_cover(v->extent, v->n);
+    s->out->cameras.edge = num_max(most.w, most.h);
+    memcpy(s->out->scene.cams, s->bundle.cams, (size_t)v->n * sizeof *s->bundle.cams);
+    lenses_note(&s->lenses, s->capture, &s->bundle, s->out);
+}
+
+/* Whether views could not be placed that show something. */
+static bool lacks_views(const struct start *s)
+{
+    const struct views *v = &s->out->views;
+    bool any = false;
+    for (int i = 0; i < v->n; i++)
+        any = any || (!s->bundle.placed[i] && !figures_blank(v, i));
+    return any;
+}
+
+static err_t resize_views(struct start *s, int edge)
+{
+    return enlarge_run(s->run, s->capture, s->cfg, (struct prep_size){edge, s->recipe->square},
+                       s->out);
+}
+
+/* Views that were read again, over the former ones of their size. */
+static void copy_pictures(const struct views *from, struct views *to)
+{
+    for (int i = 0; i < to->n + to->n_more; i++) {
+        const size_t pixels = extent_pixels(&from->extent[i]);
+        to->extent[i] = from->extent[i];
+        memcpy(views_rgb(to, i), views_rgb(from, i), 3 * pixels);
+        if (to->deep)
+            memcpy(views_rgb16(to, i), views_rgb16(from, i), 3 * pixels * sizeof *to->rgb16);
+        if (to->masked)
+            memcpy(views_masked(to, i), views_masked(from, i), pixels);
+    }
+}
+
+/* Views far apart have few things in common, and small ones: once more from larger views, in which
+ * twice as many corners are found, from the beginning. That stays if it places more; then the views
+ * become as small as they were. */
+static err_t look_closer(struct start *s)
+{
+    const struct start first = *s;
+    const struct scene scene = s->out->scene;
+    struct views views = s->out->views;
+    const size_t mark = arena_mark(s->run->keep);
+    s->closer = true;
+    s->out->n_found = 0; // as they were taken
+    err_t e = resize_views(s, s->recipe->closer);
+    if (!e)
+        e = lenses_layout(&s->lenses, s->run->keep, views.n);
+    if (!e) {
+        s->out->views.cams = NULL;
+        lenses_group(&s->lenses, s->capture, &s->out->views, s->cfg);
+        e = locate_through_lenses(s);
+    }
+    const bool better = !e && s->bundle.n_placed > first.bundle.n_placed;
+    if (better) {
+        take_cameras(s);
+        e = resize_views(s, s->recipe->work);
+        if (!e)
+            copy_pictures(&s->out->views, &views);
+    } else {
+        *s = first;
+        arena_reset(s->run->keep, mark);
+    }
+    s->out->views = views;
+    s->out->scene = scene;
+    if (!better)
+        take_cameras(s);
+    return e;
+}
+
 err_t start_bundle(struct start *s)
 {
     const struct run *r = s->run;
@@ -297,11 +376,12 @@ err_t start_bundle(struct start *s)
         lenses_group(&s->lenses, s->capture, v, s->cfg);
     if (!e)
         e = locate_through_lenses(s);
-    if (!e && !known) {
-        memcpy(s->out->scene.cams, s->bundle.cams, (size_t)v->n * sizeof *s->bundle.cams);
-        lenses_note(&s->lenses, s->capture, &s->bundle, s->out);
+    if (!e && !known)
+        take_cameras(s);
+    if (!e && s->recipe->closer && lacks_views(s))
+        e = look_closer(s);
+    if (!e && !known)
         report_bundle(s);
-    }
     job_result_lap(s->out, JOB_CAMERAS);
     if (!e && s->recipe->must_place && s->bundle.n_placed < 2)
         e = refuse_cameras(&s->bundle, v);
@@ -627,8 +707,8 @@ static void plan_stereo(struct plan *p, const struct job_config *cfg, const stru
         arena_step(&p->tmp, shading_plan(v->n));
 }
 
-void start_plan(struct plan *p, const struct job_config *cfg, const struct recipe *recipe,
-                const struct views *v, int n_lenses)
+void start_plan(struct plan *p, const struct capture *c, const struct job_config *cfg,
+                const struct recipe *recipe, const struct views *v, const struct views *closer)
 {
     const size_t pixels = extent_total(v->extent, v->n);
     const int points = pixels <= GAUSSIANS_MAX ? (int)pixels : -1; // -1: plans refuse it
@@ -650,7 +730,12 @@ void start_plan(struct plan *p, const struct job_config *cfg, const struct recip
     if (recipe->network)
         plan_network(p, cfg, recipe, v);
     if (recipe->bundle)
-        plan_bundle(p, v, n_lenses);
+        plan_bundle(p, v, lenses_count(c));
+    if (recipe->closer) {
+        enlarge_plan(p, c, cfg->source, (struct prep_size){recipe->closer, recipe->square});
+        plan_bundle(p, closer, lenses_count(c));
+        enlarge_plan(p, c, cfg->source, (struct prep_size){recipe->work, recipe->square});
+    }
     if (recipe->depth == RECIPE_NETWORK)
         correct_cameras_plan(p, v->n);
     else

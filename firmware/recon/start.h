@@ -29,6 +29,7 @@ struct start {
     struct prediction p;
     struct bundle_result bundle;
     struct lenses lenses; // of the camera positions, if cameras are not known
+    bool closer;          // the bundle is of views of recipe->closer
     float scale;          // from the network's world to that of the cameras
     struct start_merged merged;
     struct depthmaps depth;
@@ -37,10 +38,11 @@ struct start {
     size_t before_depth; // level of run.keep
 };
 
-/* Count the memory of all steps; only numbers and shapes of v are read. n_lenses: of lenses_count.
+/* Count the memory of all steps; only numbers and shapes of v are read, and those of `closer`, the
+ * views of recipe->closer, if any.
  * The prediction of a single forward pass stays in keep. */
-void start_plan(struct plan *p, const struct job_config *cfg, const struct recipe *recipe,
-                const struct views *v, int n_lenses);
+void start_plan(struct plan *p, const struct capture *c, const struct job_config *cfg,
+                const struct recipe *recipe, const struct views *v, const struct views *closer);
 
 /* The scene before its first splat, with room for all unless it becomes a single forward pass. */
 MUST_USE err_t start_scene(struct start *s);

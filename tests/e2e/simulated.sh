@@ -166,4 +166,25 @@ extreme many --kind room --views 16
 simulate few --seed 5 --kind room --views 8 --exposures 1e-9,1e-8,1 --size 112 --samples 2
 succeed eval --data "$OUT/few" --size 112 --rig none --refine 0 --json -
 grep -q 'only 2 of 8 photographs could be placed' "$OUT/stdout.txt" || fail "few: no warning"
+
+# where even the cameras of these are a guess, the others are left out all the same
+mkdir -p "$OUT/fewer"
+for i in 2 5 0 1 3 4 6 7; do
+    for copy in 0 1 2 3; do
+        [ $copy -gt 0 ] && { [ $i = 2 ] || [ $i = 5 ]; } && continue
+        cp "$OUT/few/images/train_ldr_00${i}_$((i % 3)).png" "$OUT/fewer/$i$copy.png"
+    done
+done
+echo '{"*": 1}' >"$OUT/fewer/exposure.json"
+succeed reconstruct --images "$OUT/fewer" --size 112 --refine 0 --model none \
+    --out "$OUT/fewer-scene"
+grep -q 'cameras are a guess: 24 of 26 photographs are black' "$ERR" || fail "fewer: $(cat "$ERR")"
+grep -q 'only 2 of 26 photographs could be placed' "$ERR" || fail "fewer: $(cat "$ERR")"
+
+# far apart: cameras of all are found by a closer look
+simulate far --kind room --seed 33 --views 5 --spread 0.7 --exposures 1 --size 224 --samples 2
+succeed reconstruct --images "$OUT/far" --size 224 --rig none --refine 0 --model none \
+    --out "$OUT/far-scene"
+at_least "views far apart" "$(number "$OUT/far-scene/report.json" cameras views_placed)" 5
+at_least "px, closer" "$(number "$OUT/far-scene/report.json" cameras edge_px)" 448
 finish
