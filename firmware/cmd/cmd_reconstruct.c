@@ -128,29 +128,49 @@ static err_t plan_memory(const struct request *rq, const struct state *st, const
     return job_plan(c, job, pool_size(en->pool), rq->dump != NULL, en->run.team, out);
 }
 
+static bool fits_job(const struct request *rq, const struct state *st, const struct job_config *job)
+{
+    struct job_memory m;
+    return plan_memory(rq, st, &st->set.capture, job, &m) == OK &&
+           fits_memory(&m, config_memory_mb(&rq->cfg));
+}
+
 /* The largest size up to the one asked for that fits into the memory allowed; 0: none above that of
  * cameras and depth. */
 static int largest_size(const struct request *rq, const struct state *st,
                         const struct job_config *job)
 {
     struct job_config less = *job;
-    struct job_memory m;
     for (; less.size > recipe_work(job); less.size -= less.size / 16)
-        if (plan_memory(rq, st, &st->set.capture, &less, &m) == OK &&
-            fits_memory(&m, config_memory_mb(&rq->cfg)))
+        if (fits_job(rq, st, &less))
             return less.size;
     return 0;
 }
 
-/* The size that all ranks have memory for. */
-static err_t agree_size(struct team *t, int *size)
+/* The least of what all ranks have memory for. */
+static err_t agree_least(struct team *t, int *least)
 {
     int all[TEAM_MAX] = {0};
-    all[team_rank(t)] = *size;
+    all[team_rank(t)] = *least;
     err_t e = team_collect(t, all, sizeof *all);
     for (int i = 0; i < team_size(t) && !e; i++)
-        *size = num_min(*size, all[i]);
+        *least = num_min(*least, all[i]);
     return e;
+}
+
+/* Within the memory allowed a closer look for cameras first, then size. */
+static err_t fit_job(const struct request *rq, struct state *st, struct job_config *job)
+{
+    const bool fixed = rq->cfg.size != CONFIG_SIZE_AUTO;
+    struct job_config least = *job;
+    least.size = fixed ? job->size : num_min(job->size, recipe_work(job));
+    int closer = fits_job(rq, st, &least);
+    err_t e = agree_least(st->engine.run.team, &closer);
+    job->once = !closer;
+    if (e || fixed)
+        return e;
+    job->size = num_max(largest_size(rq, st, job), least.size);
+    return agree_least(st->engine.run.team, &job->size);
 }
 
 static err_t reserve_memory(const struct request *rq, struct state *st,
@@ -199,10 +219,8 @@ static err_t prepare_job(struct request *rq, struct state *st, struct job_config
         log_warn("exposures are not known for all pictures: none is used");
     if (!e)
         dump_exposures(rq->dump_exposures, &st->set.capture, job->dump_log2t);
-    if (!e && rq->cfg.size == CONFIG_SIZE_AUTO) {
-        job->size = num_max(largest_size(rq, st, job), num_min(job->size, recipe_work(job)));
-        e = agree_size(st->engine.run.team, &job->size);
-    }
+    if (!e)
+        e = fit_job(rq, st, job);
     if (!e)
         e = plan_memory(rq, st, &st->set.capture, job, &need);
     return e ? e : reserve_memory(rq, st, job, &need);

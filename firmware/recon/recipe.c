@@ -65,7 +65,7 @@ static void choose_sizes(const struct capture *c, const struct job_config *cfg, 
     const int longest = longest_edge(c);
     out->work = out->square ? cfg->size : recipe_work(cfg);
     out->closer = 0;
-    if (out->cameras == RECIPE_BUNDLE && !out->square)
+    if (out->cameras == RECIPE_BUNDLE && !out->square && !cfg->once)
         out->closer = 2 * out->work;
     out->size = num_max(out->work, num_min(cfg->size, longest));
     out->refinement.levels = 2;

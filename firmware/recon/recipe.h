@@ -20,6 +20,7 @@ struct job_config {
     int size;        // px, longest edge of the pictures that the scene is refined with
     bool size_fixed; // a budget does not make it smaller
     double budget_s; // seconds that the job should take; 0: any
+    bool once;       // memory is short: no closer look at views that find no place
     bool square;     // squeeze the photographs to squares, as the paper's protocol has it
     struct refine_config refine;
     const struct network *network; // NULL: none

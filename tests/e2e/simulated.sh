@@ -187,4 +187,17 @@ succeed reconstruct --images "$OUT/far" --size 224 --rig none --refine 0 --model
     --out "$OUT/far-scene"
 at_least "views far apart" "$(number "$OUT/far-scene/report.json" cameras views_placed)" 5
 at_least "px, closer" "$(number "$OUT/far-scene/report.json" cameras edge_px)" 448
+
+# which is not taken where there is no memory for it
+mkdir -p "$OUT/copies"
+for i in {10..49}; do
+    cp "$OUT/far/images/train_ldr_000_0.png" "$OUT/copies/$i.png"
+done
+echo '{"*": 1}' >"$OUT/copies/exposure.json"
+short() { # exit code, sentence, MB
+    expect "$1" "$2" reconstruct --images "$OUT/copies" --size 224 --model none --refine 0 \
+        --out "$OUT/copies-scene" --max-memory "$3"
+}
+short 3 'needs [0-9]* MB' 64
+short 0 'cameras are a guess: no parallax' "$(sed -n 's/.* needs \([0-9]*\) MB.*/\1/p' "$ERR")"
 finish
