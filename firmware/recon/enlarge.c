@@ -77,7 +77,7 @@ static void take_over(struct views *large, struct job_result *out)
 }
 
 err_t enlarge_run(const struct run *r, const struct capture *c, const struct job_config *cfg,
-                  struct prep_size size, struct job_result *out)
+                  int edge, struct job_result *out)
 {
     struct chosen chosen = {.from = cfg->source};
     const struct prep_source *from = cfg->source;
@@ -90,7 +90,8 @@ err_t enlarge_run(const struct run *r, const struct capture *c, const struct job
     struct views large;
     err_t e = choose_photographs(c, &out->views, &chosen);
     if (!e)
-        e = prep_read(r, &chosen.c, cfg->source ? &source : NULL, size, &large);
+        e = prep_read(r, &chosen.c, cfg->source ? &source : NULL, (struct prep_size){edge, false},
+                      &large);
     free(chosen.shot);
     free(chosen.c.shots);
     if (e)
@@ -99,8 +100,7 @@ err_t enlarge_run(const struct run *r, const struct capture *c, const struct job
     return lenses_redraw(r, c, cfg->source, out);
 }
 
-void enlarge_plan(struct plan *p, const struct capture *c, const struct prep_source *from,
-                  struct prep_size size)
+void enlarge_plan(struct plan *p, const struct capture *c, const struct prep_source *from, int edge)
 {
-    prep_plan_capture(p, c, from, size);
+    prep_plan_capture(p, c, from, (struct prep_size){edge, false});
 }

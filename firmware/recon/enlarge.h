@@ -5,16 +5,15 @@
 #include "firmware/recon/job_result.h"
 #include "firmware/recon/recipe.h"
 
-/* out->views and the cameras of out->scene become those of `size`; through the lenses that were
- * found.
+/* out->views, no squares, and the cameras of out->scene become those of `edge` px; through the
+ * lenses that were found.
  * c:    the shots of the job.
  * err:  those of prep_read. */
 MUST_USE err_t enlarge_run(const struct run *r, const struct capture *c,
-                           const struct job_config *cfg, struct prep_size size,
-                           struct job_result *out);
+                           const struct job_config *cfg, int edge, struct job_result *out);
 
 /* Count what it takes: views of all shots. */
 void enlarge_plan(struct plan *p, const struct capture *c, const struct prep_source *from,
-                  struct prep_size size);
+                  int edge);
 
 #endif

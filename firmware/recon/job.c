@@ -140,7 +140,7 @@ static err_t enlarge_views(const struct run *r, const struct capture *c, const s
 {
     err_t e = OK;
     if (s->recipe->size > s->recipe->work)
-        e = enlarge_run(r, c, s->cfg, (struct prep_size){s->recipe->size, s->recipe->square}, out);
+        e = enlarge_run(r, c, s->cfg, s->recipe->size, out);
     job_result_lap(out, JOB_PREPROCESS);
     return e;
 }
@@ -293,7 +293,7 @@ static void plan_steps(struct plan *p, const struct capture *c, const struct job
         verify_plan(p, small);
     start_plan(p, c, cfg, recipe, small, &v->closer);
     if (recipe->size > recipe->work)
-        enlarge_plan(p, c, cfg->source, (struct prep_size){recipe->size, recipe->square});
+        enlarge_plan(p, c, cfg->source, recipe->size);
     uint8_t *cells;
     if (recipe->refine && layout_left_out(&cells, &p->keep, large))
         plan_refuse(p);

@@ -310,12 +310,6 @@ static bool lacks_views(const struct start *s)
     return any;
 }
 
-static err_t resize_views(struct start *s, int edge)
-{
-    return enlarge_run(s->run, s->capture, s->cfg, (struct prep_size){edge, s->recipe->square},
-                       s->out);
-}
-
 /* Views that were read again, over the former ones of their size. */
 static void copy_pictures(const struct views *from, struct views *to)
 {
@@ -341,7 +335,7 @@ static err_t look_closer(struct start *s)
     const size_t mark = arena_mark(s->run->keep);
     s->closer = true;
     s->out->n_found = 0; // as they were taken
-    err_t e = resize_views(s, s->recipe->closer);
+    err_t e = enlarge_run(s->run, s->capture, s->cfg, s->recipe->closer, s->out);
     if (!e)
         e = lenses_layout(&s->lenses, s->run->keep, views.n);
     if (!e) {
@@ -352,7 +346,7 @@ static err_t look_closer(struct start *s)
     const bool better = !e && s->bundle.n_placed > first.bundle.n_placed;
     if (better) {
         take_cameras(s);
-        e = resize_views(s, s->recipe->work);
+        e = enlarge_run(s->run, s->capture, s->cfg, s->recipe->work, s->out);
         if (!e)
             copy_pictures(&s->out->views, &views);
     } else {
@@ -712,6 +706,7 @@ void start_plan(struct plan *p, const struct capture *c, const struct job_config
 {
     const size_t pixels = extent_total(v->extent, v->n);
     const int points = pixels <= GAUSSIANS_MAX ? (int)pixels : -1; // -1: plans refuse it
+    const int n_lenses = lenses_count(c);
     const bool gaussians = recipe->gaussians == RECIPE_NETWORK;
     struct extent *maps = calloc((size_t)v->n, sizeof *maps);
     struct scene scene;
@@ -730,11 +725,11 @@ void start_plan(struct plan *p, const struct capture *c, const struct job_config
     if (recipe->network)
         plan_network(p, cfg, recipe, v);
     if (recipe->bundle)
-        plan_bundle(p, v, lenses_count(c));
+        plan_bundle(p, v, n_lenses);
     if (recipe->closer) {
-        enlarge_plan(p, c, cfg->source, (struct prep_size){recipe->closer, recipe->square});
-        plan_bundle(p, closer, lenses_count(c));
-        enlarge_plan(p, c, cfg->source, (struct prep_size){recipe->work, recipe->square});
+        enlarge_plan(p, c, cfg->source, recipe->closer);
+        plan_bundle(p, closer, n_lenses);
+        enlarge_plan(p, c, cfg->source, recipe->work);
     }
     if (recipe->depth == RECIPE_NETWORK)
         correct_cameras_plan(p, v->n);
