@@ -7,6 +7,7 @@
 #include "drivers/format/turn.h"
 
 #include <libexif/exif-data.h>
+#include <math.h>
 #include <spng.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -551,6 +552,16 @@ static void add_text(ExifData *data, ExifIfd ifd, int tag, char name[NAME_CAP])
     name[n] = 0;
 }
 
+double img_focal_plane(const struct img_plane *p)
+{
+    enum { UNITS = 6 };
+    static const double millimetres[UNITS] = {[3] = 10, [4] = 1, [5] = 1e-3};
+    const double inch = 25.4, given = p->unit > 0 && p->unit < UNITS ? millimetres[p->unit] : 0;
+    const double edge = fmax(p->w, p->h) * (given > 0 ? given : inch) / p->resolution; // mm
+    const double focal = p->focal_mm / edge;
+    return p->resolution > 0 && focal > 0.1 && focal < 100 ? focal : 0;
+}
+
 static err_t parse_camera(const unsigned char *bytes, size_t n, const char *name,
                           struct img_camera *out)
 {
@@ -565,10 +576,16 @@ static err_t parse_camera(const unsigned char *bytes, size_t n, const char *name
     exif_data_load_data(data, bytes, (unsigned)n);
     for (size_t i = 0; i < sizeof text / sizeof *text; i++)
         add_text(data, (ExifIfd)text[i][0], text[i][1], out->name);
-    const double focal = exif_number(data, EXIF_TAG_FOCAL_LENGTH);
+    const struct img_plane plane = {
+        exif_number(data, EXIF_TAG_FOCAL_LENGTH),
+        exif_number(data, EXIF_TAG_FOCAL_PLANE_X_RESOLUTION),
+        short_of(data, EXIF_IFD_EXIF, EXIF_TAG_FOCAL_PLANE_RESOLUTION_UNIT),
+        exif_number(data, EXIF_TAG_PIXEL_X_DIMENSION),
+        exif_number(data, EXIF_TAG_PIXEL_Y_DIMENSION)};
     const size_t used = strlen(out->name);
-    if (focal > 0)
-        snprintf(out->name + used, NAME_CAP - used, "%s%g mm", used ? " " : "", focal);
+    if (plane.focal_mm > 0)
+        snprintf(out->name + used, NAME_CAP - used, "%s%g mm", used ? " " : "", plane.focal_mm);
+    out->focal_plane = img_focal_plane(&plane);
     out->focal_35mm = exif_number(data, EXIF_TAG_FOCAL_LENGTH_IN_35MM_FILM);
     const int o = short_of(data, EXIF_IFD_0, EXIF_TAG_ORIENTATION);
     out->orientation = o >= 1 && o <= 8 ? o : 1;

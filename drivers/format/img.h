@@ -88,7 +88,8 @@ struct img_exif {
 struct img_camera {
     char name[NAME_CAP]; // make, model, serial numbers of body and lens, focal length; "" without
     double focal_35mm;   // FocalLengthIn35mmFilm; 0 = not in the file
-    int orientation;     // as img_orientation
+    double focal_plane; // focal length over the longer edge, by FocalPlaneXResolution; 0 = the same
+    int orientation;    // as img_orientation
 };
 
 /* What the header of a photograph says. */
@@ -97,6 +98,16 @@ struct img_info {
     struct img_exif exif;     // seconds 0: not in the file
     struct img_camera camera; // its orientation is 1 where readers turn the picture
 };
+
+/* EXIF data that lie on the way from the sensor to pixels (CIPA DC-008 4.6.5). */
+struct img_plane {
+    double focal_mm, resolution; // FocalLength, FocalPlaneXResolution in pixels per unit
+    int unit;    // FocalPlaneResolutionUnit: 3 = cm, 4 = mm, 5 = micrometres, else inch
+    double w, h; // PixelXDimension, PixelYDimension
+};
+
+/* Focal length over the longer edge of the photograph; 0 if something lacks or is not plausible. */
+double img_focal_plane(const struct img_plane *p);
 
 /* Exposure and camera from a block of EXIF data, with or without "Exif\0\0" before it.
  * out:  exif, camera.

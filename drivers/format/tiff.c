@@ -211,7 +211,8 @@ static void name_camera(TIFF *tif, char out[NAME_CAP])
 static void read_exif(TIFF *tif, struct img_info *out)
 {
     uint64_t at = 0;
-    uint16_t n = 0, focal = 0, *iso = NULL;
+    uint16_t n = 0, focal = 0, unit = 0, *iso = NULL;
+    uint32_t w = 0, h = 0;
     name_camera(tif, out->camera.name);
     if (!TIFFGetField(tif, TIFFTAG_EXIFIFD, &at) || !TIFFReadEXIFDirectory(tif, at))
         return;
@@ -221,6 +222,12 @@ static void read_exif(TIFF *tif, struct img_info *out)
         out->exif.iso = iso[0];
     if (TIFFGetField(tif, EXIFTAG_FOCALLENGTHIN35MMFILM, &focal))
         out->camera.focal_35mm = focal;
+    TIFFGetField(tif, EXIFTAG_FOCALPLANERESOLUTIONUNIT, &unit);
+    TIFFGetField(tif, EXIFTAG_PIXELXDIMENSION, &w);
+    TIFFGetField(tif, EXIFTAG_PIXELYDIMENSION, &h);
+    const struct img_plane plane = {exif_number(tif, EXIFTAG_FOCALLENGTH),
+                                    exif_number(tif, EXIFTAG_FOCALPLANEXRESOLUTION), unit, w, h};
+    out->camera.focal_plane = img_focal_plane(&plane);
 }
 
 err_t tiff_look(const void *bytes, size_t n, const char *name, struct img_info *out)

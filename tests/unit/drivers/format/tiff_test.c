@@ -63,6 +63,11 @@ static void write_exif(TIFF *t)
     TIFFSetField(t, EXIFTAG_FNUMBER, 2.8);
     TIFFSetField(t, EXIFTAG_ISOSPEEDRATINGS, 1, &iso);
     TIFFSetField(t, EXIFTAG_FOCALLENGTHIN35MMFILM, 28);
+    TIFFSetField(t, EXIFTAG_FOCALLENGTH, 5.0);
+    TIFFSetField(t, EXIFTAG_FOCALPLANEXRESOLUTION, 2540.0);
+    TIFFSetField(t, EXIFTAG_FOCALPLANERESOLUTIONUNIT, 2);
+    TIFFSetField(t, EXIFTAG_PIXELXDIMENSION, 640);
+    TIFFSetField(t, EXIFTAG_PIXELYDIMENSION, 480);
     assert_true(TIFFWriteCustomDirectory(t, &at));
     assert_true(TIFFSetDirectory(t, 0));
     TIFFSetField(t, TIFFTAG_EXIFIFD, at);
@@ -156,6 +161,7 @@ static void exif_data(void **state)
     assert_true(fabs(x.seconds - 0.008) < 1e-6 && x.iso == 400 && fabs(x.f_number - 2.8) < 1e-6);
     expect_ok(pixels_camera(path, &c));
     assert_true(c.focal_35mm == 28 && c.orientation == 1);
+    assert_true(fabs(c.focal_plane - 500.0 / 640) < 1e-6);
     assert_string_equal(c.name, "Maker Model 1");
     path = write_tiff(&plain, false);
     expect_err(pixels_exif(path, &x), ERR_FORMAT, "no ExposureTime");
