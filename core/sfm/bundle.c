@@ -590,16 +590,22 @@ static err_t run_starts(struct bundle *b)
     return e;
 }
 
-/* Distortion, from the best state so far; it stays unless fewer observations fit. */
-static err_t find_distortion(struct bundle *b)
+/* Those that lenses have. */
+static void free_terms(struct adjust *a)
 {
-    struct adjust *a = &b->a;
-    load_best(b);
     for (int i = 0; i < a->n_lenses * LENS_TERMS; i++) {
         struct adjust_lens *l = &a->lens[i / LENS_TERMS];
         l->free[1 + i % LENS_TERMS] = i % LENS_TERMS < selfcal_terms(&l->lens);
         l->free[ADJUST_CENTRE] = l->free[ADJUST_CENTRE + 1] = l->lens.cx != 0 || l->lens.cy != 0;
     }
+}
+
+/* Distortion, from the best state so far; it stays unless fewer observations fit. */
+static err_t find_distortion(struct bundle *b)
+{
+    struct adjust *a = &b->a;
+    load_best(b);
+    free_terms(a);
     const struct selfcal_config cfg = {BUNDLE_GATE, b->scale, b->cfg->find_principal};
     err_t e = selfcal_run(b->r, a, &cfg, b->selfcal);
     if (!e)
@@ -645,6 +651,8 @@ static err_t measure_result(struct bundle *b, double *pose_covariance)
 {
     double deviation[BUNDLE_VIEWS_MAX * ADJUST_LENS];
     load_best(b);
+    if (b->cfg->find_distortion) // a state from before these were looked for may have been the best
+        free_terms(&b->a);
     err_t e = covariance_run(b->r, &b->a, unbiased_scale(b), deviation, pose_covariance);
     for (int i = 0; i < b->a.n_lenses && b->cfg->find_distortion && !e; i++)
         memcpy(b->selfcal[i].deviation, deviation + ADJUST_LENS * i,

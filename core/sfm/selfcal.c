@@ -12,6 +12,8 @@
 
 #define SURE 3.0        // standard errors of a gain that is believed
 #define TERM_SURE 7.0   // of an unknown: 3 of errors that are 2.4 times as large (README.md)
+#define FIRST_SURE 4.0  // of the first term
+#define FIRST_LEAST 0.5 // px at the corner of a photograph: less is that of a pinhole
 #define GAIN_LEAST 0.01 // of the error, of a gain that matters
 #define BARREL -0.15    // k1 from which a fisheye is tried
 #define WIDE 0.9        // distance from the middle over the focal length, the same
@@ -218,34 +220,44 @@ static bool is_same_model(const struct adjust_lens *x, const struct adjust_lens 
     return x->lens.model == y->lens.model && memcmp(x->free, y->free, sizeof x->free) == 0;
 }
 
-/* Whether an unknown that the lens did not have is beyond doubt; that of another model always is.
- * Where there is no distortion, one that predicts better is found now and then, as observations of
- * a photograph share what is wrong with its pose. */
-static bool is_step_sure(const struct selfcal *s, int lens, bool centre)
+/* Whether an unknown that the lens did not have is `sure` standard errors from 0; that of another
+ * model always is. */
+static bool is_step_sure(const struct selfcal *s, int lens, bool centre, double sure)
 {
     const struct adjust_lens *was = &s->kept.lens[lens], *is = &s->a->lens[lens];
     const double *error = s->deviation + (size_t)ADJUST_LENS * (size_t)lens;
     if (centre)
-        return fabs(is->lens.cx) > TERM_SURE * error[ADJUST_CENTRE] ||
-               fabs(is->lens.cy) > TERM_SURE * error[ADJUST_CENTRE + 1];
-    bool sure = was->lens.model != is->lens.model && is->lens.model == LENS_OPENCV_FISHEYE;
+        return fabs(is->lens.cx) > sure * error[ADJUST_CENTRE] ||
+               fabs(is->lens.cy) > sure * error[ADJUST_CENTRE + 1];
+    bool any = was->lens.model != is->lens.model && is->lens.model == LENS_OPENCV_FISHEYE;
     for (int k = 0; k < LENS_TERMS; k++)
-        sure = sure || (is->free[1 + k] && !was->free[1 + k] &&
-                        fabs(is->lens.term[k]) > TERM_SURE * error[1 + k]);
-    return sure;
+        any = any || (is->free[1 + k] && !was->free[1 + k] &&
+                      fabs(is->lens.term[k]) > sure * error[1 + k]);
+    return any;
 }
 
-/* Little of a principal point shows in predictions, because the pose turns along: they may be no
- * worse. */
+/* How far the first term moves the corner of a photograph, px. */
+static double first_moves(const struct adjust_lens *l)
+{
+    return fabs(l->lens.term[0]) * pow(l->frame / l->lens.fx, 3) * l->lens.fx;
+}
+
+/* Nearly every lens has the first term, and without it focal length and poses are wrong by a
+ * multiple of what they are with one that is none: less shows it, and few photographs predict too
+ * little to. Little of a principal point shows in predictions, because the pose turns along: they
+ * may be no worse. */
 static bool is_step_kept(const struct selfcal *s, int lens)
 {
+    const struct adjust_lens *was = &s->kept.lens[lens], *is = &s->a->lens[lens];
     const struct judgement j = judge_lens(s, lens);
-    const bool centre =
-        s->a->lens[lens].free[ADJUST_CENTRE] && !s->kept.lens[lens].free[ADJUST_CENTRE];
-    if (adjust_too_wide(&s->kept.lens[lens]) && !adjust_too_wide(&s->a->lens[lens]) &&
-        !j.much_worse)
+    const bool centre = is->free[ADJUST_CENTRE] && !was->free[ADJUST_CENTRE];
+    const bool first = !centre && was->lens.model == LENS_PINHOLE;
+    if (adjust_too_wide(was) && !adjust_too_wide(is) && !j.much_worse)
         return true;
-    return (j.better || (centre && !j.worse)) && is_step_sure(s, lens, centre);
+    if (first)
+        return !j.much_worse && first_moves(is) > FIRST_LEAST &&
+               is_step_sure(s, lens, false, FIRST_SURE);
+    return (j.better || (centre && !j.worse)) && is_step_sure(s, lens, centre, TERM_SURE);
 }
 
 /* Fit the lenses as they were changed, and keep what predicts better. */
@@ -315,6 +327,19 @@ static void sum_up(struct selfcal *s, struct selfcal_lens *out)
     }
 }
 
+/* While some lenses had too few terms, others may have got one instead. */
+static void drop_idle_terms(struct adjust *a)
+{
+    for (int i = 0; i < a->n_lenses; i++) {
+        struct adjust_lens *l = &a->lens[i];
+        if (l->lens.model != LENS_SIMPLE_RADIAL || !l->free[1] || l->free[ADJUST_CENTRE] ||
+            first_moves(l) > FIRST_LEAST)
+            continue;
+        l->lens.term[0] = 0;
+        set_model(l, &(struct lens_step){LENS_PINHOLE, 0});
+    }
+}
+
 /* The ladder, then a last fit to all observations. */
 static err_t choose_terms(struct selfcal *s, struct selfcal_lens *out)
 {
@@ -332,6 +357,7 @@ static err_t choose_terms(struct selfcal *s, struct selfcal_lens *out)
         if (!e)
             e = try_step(s, k, out);
     }
+    drop_idle_terms(a);
     sum_up(s, out);
     a->held = NULL;
     return e ? e : fit_lenses(s);

@@ -84,6 +84,57 @@ static void barrel_is_found(void **unused)
     job_free(&j);
 }
 
+/* A barrel that the search begins with, as photographs that were drawn again through it do. */
+static void terms_that_stay_have_errors(void **unused)
+{
+    (void)unused;
+    for (unsigned seed = 11; seed < 17; seed++) {
+        struct job j = {.rig = make_room(500, 381, 0.3, 25)};
+        struct bundle_lens lens[SCENE_LENSES];
+        struct bundle_config cfg;
+        int of[SCENE_VIEWS];
+        j.rig.seed = seed;
+        j.rig.n_lenses = 1;
+        j.rig.lens[0] = make_lens(LENS_RADIAL, 381, -0.1, 0.02);
+        scene_arc(&j.rig, 6, 60);
+        scene_make(&j.rig, &j.tracks);
+        lenses_of(&j.rig, lens, of, &cfg);
+        lens[0].start = j.rig.lens[0];
+        run_ok(&j, &cfg);
+        for (int k = 0; k < 3; k++)
+            assert_true(j.out.selfcal[0].deviation[k] > 1e-4);
+        job_free(&j);
+    }
+}
+
+/* Five photographs: they leave out too few observations to tell by these alone. Barrel distortion
+ * of 4 px in the corners, and none. */
+static void few_photographs_tell(void **unused)
+{
+    (void)unused;
+    static const double distortion[2] = {-0.05, 0};
+    for (int k = 0; k < 8; k++) {
+        struct job j = {.rig = make_room(500, 381, 0.3, 40)};
+        struct bundle_lens lens[SCENE_LENSES];
+        struct bundle_config cfg;
+        int of[SCENE_VIEWS];
+        j.rig.seed = (unsigned)(11 + k / 2);
+        j.rig.noise = 0.3;
+        j.rig.n_lenses = 1;
+        j.rig.lens[0] = make_lens(LENS_SIMPLE_RADIAL, 381, distortion[k % 2], 0);
+        scene_arc(&j.rig, 5, 60);
+        scene_make(&j.rig, &j.tracks);
+        lenses_of(&j.rig, lens, of, &cfg);
+        run_ok(&j, &cfg);
+        const struct lens *l = &j.out.lenses[0];
+        print_message("%s f %g k1 %g +- %g, %d left out\n", lens_name(l->model), l->fx, l->term[0],
+                      j.out.selfcal[0].deviation[1], j.out.selfcal[0].held);
+        assert_int_equal(l->model, k % 2 ? LENS_PINHOLE : LENS_SIMPLE_RADIAL);
+        assert_true(fabs(l->fx / 381 - 1) < 0.006);
+        job_free(&j);
+    }
+}
+
 /* Three kinds of camera, each with its own focal length and terms. */
 static void kinds_are_told_apart(void **unused)
 {
@@ -211,9 +262,10 @@ static void principal_points_are_found(void **unused)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(perfect_lens_stays_perfect), cmocka_unit_test(barrel_is_found),
-        cmocka_unit_test(kinds_are_told_apart),       cmocka_unit_test(unusual_kinds_are_placed),
-        cmocka_unit_test(wide_lens_covers_its_frame), cmocka_unit_test(principal_points_are_found),
+        cmocka_unit_test(perfect_lens_stays_perfect),  cmocka_unit_test(barrel_is_found),
+        cmocka_unit_test(terms_that_stay_have_errors), cmocka_unit_test(few_photographs_tell),
+        cmocka_unit_test(kinds_are_told_apart),        cmocka_unit_test(unusual_kinds_are_placed),
+        cmocka_unit_test(wide_lens_covers_its_frame),  cmocka_unit_test(principal_points_are_found),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
