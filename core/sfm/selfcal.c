@@ -13,6 +13,7 @@
 #define SURE 3.0        // standard errors of a gain that is believed
 #define TERM_SURE 7.0   // of an unknown: 3 of errors that are 2.4 times as large (README.md)
 #define FIRST_SURE 4.0  // of the first term
+#define FIRST_WORSE 1.0 // standard errors of a loss that it may bring
 #define FIRST_LEAST 0.5 // px at the corner of a photograph: less is that of a pinhole
 #define GAIN_LEAST 0.01 // of the error, of a gain that matters
 #define BARREL -0.15    // k1 from which a fisheye is tried
@@ -132,11 +133,11 @@ static void measure_left_out(const struct selfcal *s, float *error)
                 error[i] = (float)fmin(most, adjust_error(a, a->point + 4 * (size_t)t, &a->obs[i]));
 }
 
-/* Errors before and after, and whether the gain is one. */
+/* Errors before and after, and the gain. */
 struct judgement {
     int n;
     double before, after; // means
-    bool better, worse, much_worse;
+    double sure, share;   // gain in its standard errors, and of the error before
 };
 
 static struct judgement judge_lens(const struct selfcal *s, int lens)
@@ -155,9 +156,8 @@ static struct judgement judge_lens(const struct selfcal *s, int lens)
         square += gain * gain;
     }
     const double n = num_max(j.n, 1), error = sqrt(fmax(0, square - sum * sum / n));
-    j.better = sum > SURE * error && sum > GAIN_LEAST * j.before;
-    j.worse = sum < 0;
-    j.much_worse = -sum > SURE * error && -sum > GAIN_LEAST * j.before;
+    j.sure = error > 0 ? sum / error : 0;
+    j.share = j.before > 0 ? sum / j.before : 0;
     j.before /= n;
     j.after /= n;
     return j;
@@ -252,12 +252,14 @@ static bool is_step_kept(const struct selfcal *s, int lens)
     const struct judgement j = judge_lens(s, lens);
     const bool centre = is->free[ADJUST_CENTRE] && !was->free[ADJUST_CENTRE];
     const bool first = !centre && was->lens.model == LENS_PINHOLE;
-    if (adjust_too_wide(was) && !adjust_too_wide(is) && !j.much_worse)
+    const bool better = j.sure > SURE && j.share > GAIN_LEAST,
+               much_worse = j.sure < -SURE && j.share < -GAIN_LEAST;
+    if (adjust_too_wide(was) && !adjust_too_wide(is) && !much_worse)
         return true;
     if (first)
-        return !j.much_worse && first_moves(is) > FIRST_LEAST &&
+        return j.sure > -FIRST_WORSE && first_moves(is) > FIRST_LEAST &&
                is_step_sure(s, lens, false, FIRST_SURE);
-    return (j.better || (centre && !j.worse)) && is_step_sure(s, lens, centre, TERM_SURE);
+    return (better || (centre && j.sure >= 0)) && is_step_sure(s, lens, centre, TERM_SURE);
 }
 
 /* Fit the lenses as they were changed, and keep what predicts better. */
