@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
-# barrel.sh HDRIG OUT - whether a few photographs tell how a lens distorts: rooms, yards and parks by
-# 4, 6 and 8 cameras near each other and far apart, through a perfect lens and through barrels that
-# move the corners by 3 and 6 of 448 px, each calibrated from one take. Prints the lens found, its
-# focal length over the true one, and errors of rotations between cameras, degrees.
+# barrel.sh HDRIG OUT - whether a few photographs tell how a lens distorts: rooms, yards and parks
+# by 4, 6 and 8 cameras near each other and far apart, through a perfect lens and through barrels
+# that move the corners by 3 and 6 of 448 px, each calibrated from one take. Prints the lens found,
+# its focal length over the true one, and errors of rotations between cameras, degrees.
 set -euo pipefail
 [ $# = 2 ] || { echo "usage: $0 HDRIG OUT" >&2; exit 2; }
 hdrig=$(realpath "$1")
