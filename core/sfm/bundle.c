@@ -591,7 +591,7 @@ static err_t run_starts(struct bundle *b)
 }
 
 /* Those that lenses have. */
-static void free_terms(struct adjust *a)
+static void free_own_terms(struct adjust *a)
 {
     for (int i = 0; i < a->n_lenses * LENS_TERMS; i++) {
         struct adjust_lens *l = &a->lens[i / LENS_TERMS];
@@ -605,7 +605,7 @@ static err_t find_distortion(struct bundle *b)
 {
     struct adjust *a = &b->a;
     load_best(b);
-    free_terms(a);
+    free_own_terms(a);
     const struct selfcal_config cfg = {BUNDLE_GATE, b->scale, b->cfg->find_principal};
     err_t e = selfcal_run(b->r, a, &cfg, b->selfcal);
     if (!e)
@@ -652,7 +652,7 @@ static err_t measure_result(struct bundle *b, double *pose_covariance)
     double deviation[BUNDLE_VIEWS_MAX * ADJUST_LENS];
     load_best(b);
     if (b->cfg->find_distortion) // a state from before these were looked for may have been the best
-        free_terms(&b->a);
+        free_own_terms(&b->a);
     err_t e = covariance_run(b->r, &b->a, unbiased_scale(b), deviation, pose_covariance);
     for (int i = 0; i < b->a.n_lenses && b->cfg->find_distortion && !e; i++)
         memcpy(b->selfcal[i].deviation, deviation + ADJUST_LENS * i,

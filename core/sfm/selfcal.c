@@ -133,33 +133,31 @@ static void measure_left_out(const struct selfcal *s, float *error)
                 error[i] = (float)fmin(most, adjust_error(a, a->point + 4 * (size_t)t, &a->obs[i]));
 }
 
-/* Errors before and after, and the gain. */
+/* The error before, and the gain. */
 struct judgement {
-    int n;
-    double before, after; // means
-    double sure, share;   // gain in its standard errors, and of the error before
+    double before;      // mean
+    double sure, share; // gain in its standard errors, and of the error before
 };
 
 static struct judgement judge_lens(const struct selfcal *s, int lens)
 {
     const struct adjust *a = s->a;
     struct judgement j = {0};
-    double sum = 0, square = 0;
+    double n = 0, sum = 0, square = 0;
     for (int i = 0; i < a->first[a->n_tracks]; i++) {
         if (!s->held[i] || a->lens_of[a->obs[i].view] != lens)
             continue;
         const double gain = (double)s->before[i] - (double)s->after[i];
-        j.n++;
+        n++;
         j.before += (double)s->before[i];
-        j.after += (double)s->after[i];
         sum += gain;
         square += gain * gain;
     }
-    const double n = num_max(j.n, 1), error = sqrt(fmax(0, square - sum * sum / n));
+    n = fmax(n, 1);
+    const double error = sqrt(fmax(0, square - sum * sum / n));
     j.sure = error > 0 ? sum / error : 0;
     j.share = j.before > 0 ? sum / j.before : 0;
     j.before /= n;
-    j.after /= n;
     return j;
 }
 

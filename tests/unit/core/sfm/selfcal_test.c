@@ -36,20 +36,28 @@ static void lenses_of(const struct scene_rig *s, struct bundle_lens lens[SCENE_L
         .n_lenses = s->n_lenses, .lens = lens, .lens_of = lens_of, .find_distortion = true};
 }
 
+/* All views through one lens, with which the search begins if it is `known`. */
+static void run_through(struct job *j, struct lens l, bool known)
+{
+    struct bundle_lens lens[SCENE_LENSES];
+    struct bundle_config cfg;
+    int of[SCENE_VIEWS];
+    j->rig.n_lenses = 1;
+    j->rig.lens[0] = l;
+    scene_make(&j->rig, &j->tracks);
+    lenses_of(&j->rig, lens, of, &cfg);
+    if (known)
+        lens[0].start = l;
+    run_ok(j, &cfg);
+}
+
 /* A lens without distortion gets no term. */
 static void perfect_lens_stays_perfect(void **unused)
 {
     (void)unused;
     struct job j = {.rig = make_room(1000, 381, 0.3, 15)};
-    struct bundle_lens lens[SCENE_LENSES];
-    struct bundle_config cfg;
-    int of[SCENE_VIEWS];
-    j.rig.n_lenses = 1;
-    j.rig.lens[0] = make_lens(LENS_PINHOLE, 381, 0, 0);
     scene_grid(&j.rig);
-    scene_make(&j.rig, &j.tracks);
-    lenses_of(&j.rig, lens, of, &cfg);
-    run_ok(&j, &cfg);
+    run_through(&j, make_lens(LENS_PINHOLE, 381, 0, 0), false);
     assert_right(&j, 0.1, 0.01, 0.02);
     assert_int_equal(j.out.lenses[0].model, LENS_PINHOLE);
     assert_int_equal(j.out.selfcal[0].stop, SELFCAL_ENOUGH);
@@ -63,15 +71,8 @@ static void barrel_is_found(void **unused)
 {
     (void)unused;
     struct job j = {.rig = make_room(1000, 381, 0.3, 25)};
-    struct bundle_lens lens[SCENE_LENSES];
-    struct bundle_config cfg;
-    int of[SCENE_VIEWS];
-    j.rig.n_lenses = 1;
-    j.rig.lens[0] = make_lens(LENS_SIMPLE_RADIAL, 381, -0.1, 0);
     scene_arc(&j.rig, 18, 80);
-    scene_make(&j.rig, &j.tracks);
-    lenses_of(&j.rig, lens, of, &cfg);
-    run_ok(&j, &cfg);
+    run_through(&j, make_lens(LENS_SIMPLE_RADIAL, 381, -0.1, 0), false);
     print_message("k1 %g +- %g f %g, %g px, %g > %g\n", j.out.lenses[0].term[0],
                   j.out.selfcal[0].deviation[1], j.out.lenses[0].fx,
                   lens_distance(&j.rig.lens[0], &j.out.lenses[0]), j.out.selfcal[0].error_before,
@@ -90,42 +91,27 @@ static void terms_that_stay_have_errors(void **unused)
     (void)unused;
     for (unsigned seed = 11; seed < 17; seed++) {
         struct job j = {.rig = make_room(500, 381, 0.3, 25)};
-        struct bundle_lens lens[SCENE_LENSES];
-        struct bundle_config cfg;
-        int of[SCENE_VIEWS];
         j.rig.seed = seed;
-        j.rig.n_lenses = 1;
-        j.rig.lens[0] = make_lens(LENS_RADIAL, 381, -0.1, 0.02);
         scene_arc(&j.rig, 6, 60);
-        scene_make(&j.rig, &j.tracks);
-        lenses_of(&j.rig, lens, of, &cfg);
-        lens[0].start = j.rig.lens[0];
-        run_ok(&j, &cfg);
+        run_through(&j, make_lens(LENS_RADIAL, 381, -0.1, 0.02), true);
         for (int k = 0; k < 3; k++)
             assert_true(j.out.selfcal[0].deviation[k] > 1e-4);
         job_free(&j);
     }
 }
 
-/* Five photographs: they leave out too few observations to tell by these alone. Barrel distortion
- * of 4 px in the corners, and none. */
+/* Five photographs: they leave out too few observations to tell by these alone. Barrel distortion,
+ * and none. */
 static void few_photographs_tell(void **unused)
 {
     (void)unused;
     static const double distortion[2] = {-0.05, 0};
     for (int k = 0; k < 8; k++) {
         struct job j = {.rig = make_room(500, 381, 0.3, 40)};
-        struct bundle_lens lens[SCENE_LENSES];
-        struct bundle_config cfg;
-        int of[SCENE_VIEWS];
         j.rig.seed = (unsigned)(11 + k / 2);
         j.rig.noise = 0.3;
-        j.rig.n_lenses = 1;
-        j.rig.lens[0] = make_lens(LENS_SIMPLE_RADIAL, 381, distortion[k % 2], 0);
         scene_arc(&j.rig, 5, 60);
-        scene_make(&j.rig, &j.tracks);
-        lenses_of(&j.rig, lens, of, &cfg);
-        run_ok(&j, &cfg);
+        run_through(&j, make_lens(LENS_SIMPLE_RADIAL, 381, distortion[k % 2], 0), false);
         const struct lens *l = &j.out.lenses[0];
         print_message("%s f %g k1 %g +- %g, %d left out\n", lens_name(l->model), l->fx, l->term[0],
                       j.out.selfcal[0].deviation[1], j.out.selfcal[0].held);
