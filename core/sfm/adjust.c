@@ -423,6 +423,13 @@ static double prior_gap(const struct adjust_lens *l, int unknown, double *weight
     return unknown == 0 ? focal : -l->lens.term[unknown - 1];
 }
 
+double adjust_prior_weight(const struct adjust_lens *l, int unknown)
+{
+    double weight, doubt;
+    prior_gap(l, unknown, &weight, &doubt);
+    return weight * doubt;
+}
+
 static void add_priors(const struct normal *m, double *s)
 {
     for (int i = 0; i < m->a->n_lenses; i++)

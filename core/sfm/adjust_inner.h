@@ -44,4 +44,7 @@ MUST_USE err_t adjust_begin_system(const struct run *r, struct adjust *a, double
  * err:  ERR_CANCELLED. */
 MUST_USE err_t adjust_sum_system(struct normal *m);
 
+/* Weight of what is expected of an unknown of a lens at its present value: 1 / deviation. */
+double adjust_prior_weight(const struct adjust_lens *l, int unknown);
+
 #endif

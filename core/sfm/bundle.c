@@ -633,19 +633,6 @@ static err_t complete_views(struct bundle *b)
     return e;
 }
 
-/* Errors of the observations that are in over the expected ones: what is left of them, by the
- * equations that are more than there are unknowns. */
-static double unbiased_scale(const struct bundle *b)
-{
-    const struct adjust *a = &b->a;
-    double all, sum = 0, more = bundle_result_redundancy(b, a->in, false, &all);
-    for (int t = 0; t < a->n_tracks; t++)
-        for (int i = a->first[t]; i < a->first[t + 1]; i++)
-            sum += a->in[i] ? adjust_error(a, a->point + 4 * (size_t)t, &a->obs[i]) : 0;
-    more -= a->poses_fixed ? 0 : 6 * count_placed(b) - COVARIANCE_GAUGE;
-    return sqrt(sum / fmax(1, more));
-}
-
 /* How well the best state is known. */
 static err_t measure_result(struct bundle *b, double *pose_covariance)
 {
@@ -653,7 +640,7 @@ static err_t measure_result(struct bundle *b, double *pose_covariance)
     load_best(b);
     if (b->cfg->find_distortion) // a state from before these were looked for may have been the best
         free_own_terms(&b->a);
-    err_t e = covariance_run(b->r, &b->a, unbiased_scale(b), deviation, pose_covariance);
+    err_t e = covariance_run(b->r, &b->a, deviation, pose_covariance);
     for (int i = 0; i < b->a.n_lenses && b->cfg->find_distortion && !e; i++)
         memcpy(b->selfcal[i].deviation, deviation + ADJUST_LENS * i,
                sizeof b->selfcal[i].deviation);

@@ -5,13 +5,13 @@
 #include "core/sfm/covariance.h"
 
 #include "core/base/lin.h"
-#include "core/sfm/adjust_inner.h"
+#include "core/sfm/sandwich.h"
 
 #include <math.h>
 #include <string.h>
 
 enum { TWIST = 6 };
-static const double NO_WEIGHTS = 1e3, // errors, width of a loss that lets all of them count
+static const double NO_WEIGHTS = 1e6, // errors, width of a loss that lets all of them count
     DAMPING = 1e-9;                   // of what nothing determines
 
 /* ---- gauge ---- */
@@ -152,52 +152,74 @@ void covariance_deviations(const double pose[COVARIANCE_POSE], double out[2])
 
 /* ---- of adjustment ---- */
 
-static void write_lenses(struct normal *m, bool ok, double scale, double *out)
+static void write_lenses(struct normal *m, struct sandwich *s, bool ok, double *out)
 {
     const struct adjust *a = m->a;
     for (int i = 0; i < a->n_lenses; i++)
         for (int p = 0, k = m->at[i]; p < ADJUST_LENS; p++) {
             double *to = out + ADJUST_LENS * i + p;
             *to = a->lens[i].free[p] ? INFINITY : 0;
-            if (!a->lens[i].free[p])
+            if (!ok || !a->lens[i].free[p])
                 continue;
-            if (ok)
-                *to = scale * sqrt(covariance_of_unknown(m->sum, m->n, k, m->step));
-            k++;
+            invert_column(m->sum, m->n, k, m->step);
+            *to = sqrt(fmax(s->alone * m->step[k++], sandwich_variance(s, m->step)));
         }
 }
 
-static void write_poses(struct normal *m, const struct covariance_gauge *g, bool ok, double scale,
-                        double *out)
+/* Of errors that share nothing, all of it larger by what variances are on the mean. */
+static void write_pose(struct normal *m, struct sandwich *s, const struct covariance_gauge *g,
+                       int view, double *out)
+{
+    double larger = 0;
+    covariance_of_pose(g, m->sum, m->n, view, m->step, out);
+    for (int k = 0; k < TWIST; k++) {
+        const double alone = s->alone * out[(TWIST + 1) * k];
+        invert_column(m->sum, m->n, TWIST * view + k, m->step);
+        larger += alone > 0 ? fmax(1, sandwich_variance(s, m->step) / alone) : 1;
+    }
+    for (int k = 0; k < COVARIANCE_POSE; k++)
+        out[k] *= s->alone * larger / TWIST;
+}
+
+static void write_poses(struct normal *m, struct sandwich *s, const struct covariance_gauge *g,
+                        bool ok, double *out)
 {
     for (int v = 0; v < m->a->n_views; v++) {
         double *to = out + (size_t)COVARIANCE_POSE * (size_t)v;
         const bool fixed = !m->a->placed[v] || m->a->poses_fixed;
-        if (ok && !fixed)
-            covariance_of_pose(g, m->sum, m->n, v, m->step, to);
         for (int k = 0; k < COVARIANCE_POSE; k++)
-            to[k] = fixed ? 0 : ok ? to[k] * scale * scale : INFINITY;
+            to[k] = fixed ? 0 : INFINITY;
+        if (ok && !fixed)
+            write_pose(m, s, g, v, to);
     }
 }
 
-err_t covariance_run(const struct run *r, struct adjust *a, double scale, double *lens,
-                     double *pose)
+size_t covariance_plan(int n_views, int n_lenses, int n_tracks, int n_obs)
+{
+    return arena_add(adjust_plan(n_views, n_lenses, n_tracks),
+                     sandwich_plan(n_views, n_lenses, n_tracks, n_obs));
+}
+
+err_t covariance_run(const struct run *r, struct adjust *a, double *lens, double *pose)
 {
     const size_t mark = arena_mark(r->tmp);
     struct normal m;
     struct backup before;
-    err_t e = adjust_begin_system(r, a, NO_WEIGHTS * scale, &m, &before);
+    struct sandwich s = {0};
+    err_t e = adjust_begin_system(r, a, NO_WEIGHTS, &m, &before);
     m.damping = DAMPING;
     if (!e)
         e = adjust_sum_system(&m);
+    if (!e)
+        e = sandwich_begin(&m, &s);
     if (!e) {
         struct covariance_gauge g = covariance_find_gauge(a->pose, a->placed, a->n_views, true);
         if (!a->poses_fixed)
             covariance_fix_gauge(&g, m.sum, m.n);
-        const bool ok = lin_cholesky(m.sum, m.n);
-        write_lenses(&m, ok, scale, lens);
+        const bool ok = isfinite(s.factor) && lin_cholesky(m.sum, m.n);
+        write_lenses(&m, &s, ok, lens);
         if (pose)
-            write_poses(&m, &g, ok, scale, pose);
+            write_poses(&m, &s, &g, ok, pose);
     }
     arena_reset(r->tmp, mark);
     return e;

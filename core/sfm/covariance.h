@@ -13,14 +13,14 @@
  * camera's axes. */
 enum { COVARIANCE_POSE = 36, COVARIANCE_GAUGE = 7 };
 
-/* Of the present state, of the observations that are in, for expected errors times `scale`.
+/* Of the present state, by the errors of the observations that are in (sandwich.h).
  * lens: (n_lenses, ADJUST_LENS) standard errors of the unknowns: 0 where one is fixed
  * pose: (n_views, COVARIANCE_POSE), in the world of `a`; 0 where a view is not placed; NULL: not
  *       asked for
  *       Both are infinite where nothing determines them.
- * err:  ERR_NOMEM (r->tmp, see adjust_plan), ERR_CANCELLED. */
-MUST_USE err_t covariance_run(const struct run *r, struct adjust *a, double scale, double *lens,
-                              double *pose);
+ * err:  ERR_NOMEM (r->tmp, see covariance_plan), ERR_CANCELLED. */
+MUST_USE err_t covariance_run(const struct run *r, struct adjust *a, double *lens, double *pose);
+size_t covariance_plan(int n_views, int n_lenses, int n_tracks, int n_obs);
 
 /* Standard errors of a pose: the roots of the traces of rotation, rad, and shift. */
 void covariance_deviations(const double pose[COVARIANCE_POSE], double out[2]);

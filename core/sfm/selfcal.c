@@ -11,8 +11,7 @@
 #include <string.h>
 
 #define SURE 3.0        // standard errors of a gain that is believed
-#define TERM_SURE 7.0   // of an unknown: 3 of errors that are 2.4 times as large (README.md)
-#define FIRST_SURE 4.0  // of the first term
+#define TERM_SURE 4.0   // of an unknown: 3 of errors that are 1.4 times as large (README.md)
 #define FIRST_WORSE 1.0 // standard errors of a loss that it may bring
 #define FIRST_LEAST 0.5 // px at the corner of a photograph: less is that of a pinhole
 #define GAIN_LEAST 0.01 // of the error, of a gain that matters
@@ -75,7 +74,7 @@ size_t selfcal_plan(int n_views, int n_lenses, int n_tracks, int n_obs)
     struct selfcal s;
     if (layout(&s, &tmp, (int[4]){n_views, n_lenses, n_tracks, n_obs}))
         return SIZE_MAX;
-    return arena_add(tmp.peak, adjust_plan(n_views, n_lenses, n_tracks));
+    return arena_add(tmp.peak, covariance_plan(n_views, n_lenses, n_tracks, n_obs));
 }
 
 static void keep_state(struct selfcal *s)
@@ -218,19 +217,19 @@ static bool is_same_model(const struct adjust_lens *x, const struct adjust_lens 
     return x->lens.model == y->lens.model && memcmp(x->free, y->free, sizeof x->free) == 0;
 }
 
-/* Whether an unknown that the lens did not have is `sure` standard errors from 0; that of another
- * model always is. */
-static bool is_step_sure(const struct selfcal *s, int lens, bool centre, double sure)
+/* Whether an unknown that the lens did not have is clearly not 0; that of another model always
+ * is. */
+static bool is_step_sure(const struct selfcal *s, int lens, bool centre)
 {
     const struct adjust_lens *was = &s->kept.lens[lens], *is = &s->a->lens[lens];
     const double *error = s->deviation + (size_t)ADJUST_LENS * (size_t)lens;
     if (centre)
-        return fabs(is->lens.cx) > sure * error[ADJUST_CENTRE] ||
-               fabs(is->lens.cy) > sure * error[ADJUST_CENTRE + 1];
+        return fabs(is->lens.cx) > TERM_SURE * error[ADJUST_CENTRE] ||
+               fabs(is->lens.cy) > TERM_SURE * error[ADJUST_CENTRE + 1];
     bool any = was->lens.model != is->lens.model && is->lens.model == LENS_OPENCV_FISHEYE;
     for (int k = 0; k < LENS_TERMS; k++)
         any = any || (is->free[1 + k] && !was->free[1 + k] &&
-                      fabs(is->lens.term[k]) > sure * error[1 + k]);
+                      fabs(is->lens.term[k]) > TERM_SURE * error[1 + k]);
     return any;
 }
 
@@ -256,8 +255,8 @@ static bool is_step_kept(const struct selfcal *s, int lens)
         return true;
     if (first)
         return j.sure > -FIRST_WORSE && first_moves(is) > FIRST_LEAST &&
-               is_step_sure(s, lens, false, FIRST_SURE);
-    return (better || (centre && j.sure >= 0)) && is_step_sure(s, lens, centre, TERM_SURE);
+               is_step_sure(s, lens, false);
+    return (better || (centre && j.sure >= 0)) && is_step_sure(s, lens, centre);
 }
 
 /* Fit the lenses as they were changed, and keep what predicts better. */
@@ -267,7 +266,7 @@ static err_t try_change(struct selfcal *s)
     bool any = false, all = true;
     err_t e = fit_lenses(s);
     if (!e)
-        e = covariance_run(s->r, a, s->cfg->scale, s->deviation, NULL);
+        e = covariance_run(s->r, a, s->deviation, NULL);
     measure_left_out(s, s->after);
     for (int i = 0; i < a->n_lenses && !e; i++) {
         const bool tried = !is_same_model(&a->lens[i], &s->kept.lens[i]);

@@ -2,9 +2,9 @@
  * terms each needs, and their values. Each model of a ladder (none, k1, k1 k2, k1 k2 p1 p2; then
  * the fisheye with 1, 2 and 4 terms, where the lens is that wide) is fitted without some of the
  * observations, and kept only where it predicts these clearly better than the model before and a
- * term that is new is 7 standard errors from 0; of the first term 4 are enough, where it moves the
+ * term that is new is 4 standard errors from 0; for the first term it is enough that it moves the
  * corners by half a pixel and predictions are not worse by a standard error. The principal point,
- * where it is asked for, comes after k1 k2, with k1 at least; it is kept where it is 7 standard
+ * where it is asked for, comes after k1 k2, with k1 at least; it is kept where it is 4 standard
  * errors from the middle and predictions become no worse.
  * Pure computation on the pool; the result does not depend on the number of threads. */
 #ifndef SFM_SELFCAL_H

@@ -134,6 +134,52 @@ static void covariances_are_those_of_the_errors(void **state)
     }
 }
 
+/* All views see what lies in one part of the first view that has it off by the same. */
+static void share_errors(struct scene_tracks *t, int n_views, double px)
+{
+    enum { PARTS = 8 };
+    int part = 0;
+    float(*off)[2] =
+        calloc((size_t)(n_views * PARTS * PARTS * n_views), sizeof *off); // (parts, views)
+    for (int i = 0; i < n_views * PARTS * PARTS * n_views; i++) {
+        off[i][0] = (float)(px * scene_normal());
+        off[i][1] = (float)(px * scene_normal());
+    }
+    for (int i = 0; i < t->t.n; i++) {
+        struct match_observation *o = &t->t.obs[i];
+        const float u = fmaxf(0, fminf(o->u, SCENE_SIZE - 1)),
+                    v = fmaxf(0, fminf(o->v, SCENE_SIZE - 1));
+        if (i == 0 || o->track != o[-1].track)
+            part = (o->view * PARTS + (int)(v * PARTS / SCENE_SIZE)) * PARTS +
+                   (int)(u * PARTS / SCENE_SIZE);
+        o->u += off[part * n_views + o->view][0];
+        o->v += off[part * n_views + o->view][1];
+    }
+    free(off);
+}
+
+/* Neighbouring points that are matched wrongly together tell less than as many others. */
+static void shared_errors_count(void **state)
+{
+    double sum = 0;
+    (void)state;
+    for (uint32_t seed = 1; seed <= 6; seed++) {
+        struct job j;
+        make(&j, 8, 0.2, seed);
+        j.rig.n_points = 2000;
+        scene_free(&j.tracks);
+        scene_make(&j.rig, &j.tracks);
+        share_errors(&j.tracks, 8, 0.4);
+        const struct bundle_config cfg = {.find_distortion = true, .measure_poses = true};
+        assert_int_equal(run_on(&j, &cfg, 1), OK);
+        assert_int_equal(j.out.n_placed, 8);
+        sum += normalised_error(&j) / 6;
+        job_free(&j);
+    }
+    print_message("shared errors: squared error over its covariance %.2f\n", sum);
+    assert_true(sum > 0.7 && sum < 2);
+}
+
 /* Nothing without being asked; nothing of poses that are known; not by threads; in any world. */
 static void what_it_depends_on(void **state)
 {
@@ -226,6 +272,7 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(covariances_are_those_of_the_errors),
+        cmocka_unit_test(shared_errors_count),
         cmocka_unit_test(what_it_depends_on),
         cmocka_unit_test(motions_of_the_world_do_not_count),
     };
