@@ -326,17 +326,25 @@ static void sum_up(struct selfcal *s, struct selfcal_lens *out)
     }
 }
 
-/* While some lenses had too few terms, others may have got one instead. */
-static void drop_idle_terms(struct adjust *a)
+/* First terms that all observations show no more: those that were left out are more, and while some
+ * lenses had too few terms, others may have got one instead. */
+static err_t drop_idle_terms(struct selfcal *s, struct selfcal_lens *out)
 {
-    for (int i = 0; i < a->n_lenses; i++) {
+    struct adjust *a = s->a;
+    bool any = false;
+    err_t e = covariance_run(s->r, a, s->deviation, NULL);
+    for (int i = 0; i < a->n_lenses && !e; i++) {
         struct adjust_lens *l = &a->lens[i];
+        const double error = s->deviation[ADJUST_LENS * i + 1];
         if (l->lens.model != LENS_SIMPLE_RADIAL || !l->free[1] || l->free[ADJUST_CENTRE] ||
-            first_moves(l) > FIRST_LEAST)
+            (first_moves(l) > FIRST_LEAST && fabs(l->lens.term[0]) > TERM_SURE * error))
             continue;
         l->lens.term[0] = 0;
         set_model(l, &(struct lens_step){LENS_PINHOLE, 0});
+        out[i].error = out[i].error_before;
+        any = true;
     }
+    return any && !e ? fit_lenses(s) : e;
 }
 
 /* The ladder, then a last fit to all observations. */
@@ -356,10 +364,11 @@ static err_t choose_terms(struct selfcal *s, struct selfcal_lens *out)
         if (!e)
             e = try_step(s, k, out);
     }
-    drop_idle_terms(a);
     sum_up(s, out);
     a->held = NULL;
-    return e ? e : fit_lenses(s);
+    if (!e)
+        e = fit_lenses(s);
+    return e ? e : drop_idle_terms(s, out);
 }
 
 err_t selfcal_run(const struct run *r, struct adjust *a, const struct selfcal_config *cfg,
