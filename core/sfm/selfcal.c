@@ -326,8 +326,8 @@ static void sum_up(struct selfcal *s, struct selfcal_lens *out)
     }
 }
 
-/* First terms that a fit to all observations does not bear out; while some lenses had too few terms,
- * others may have got one instead. */
+/* First terms that a fit to all observations does not bear out; while some lenses had too few
+ * terms, others may have got one instead. */
 static err_t drop_idle_terms(struct selfcal *s, struct selfcal_lens *out)
 {
     struct adjust *a = s->a;
