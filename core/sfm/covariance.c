@@ -161,8 +161,8 @@ static void write_lenses(struct normal *m, struct sandwich *s, bool ok, double *
             *to = a->lens[i].free[p] ? INFINITY : 0;
             if (!ok || !a->lens[i].free[p])
                 continue;
-            invert_column(m->sum, m->n, k, m->step);
-            *to = sqrt(fmax(s->alone * m->step[k++], sandwich_variance(s, m->step)));
+            const double alone = s->alone * covariance_of_unknown(m->sum, m->n, k++, m->step);
+            *to = sqrt(fmax(alone, sandwich_variance(s, m->step)));
         }
 }
 

@@ -49,7 +49,7 @@ void covariance_gauge_rows(const struct covariance_gauge *g, int camera,
  * h: (n, n) lower triangle */
 void covariance_fix_gauge(struct covariance_gauge *g, double *h, int n);
 
-/* Variance of unknown k. */
+/* Variance of unknown k. step: (n), its row of the inverse */
 double covariance_of_unknown(const double *factor, int n, int k, double *step);
 
 /* The covariance of a camera, in expected errors, from the factor (lin_cholesky) of these. step:

@@ -11,7 +11,7 @@
 #include <string.h>
 
 #define SURE 3.0        // standard errors of a gain that is believed
-#define TERM_SURE 4.0   // of an unknown: 3 of errors that are 1.4 times as large (README.md)
+#define TERM_SURE 4.0   // of an unknown: 3 of errors that are 1.3 times as large (README.md)
 #define FIRST_WORSE 1.0 // standard errors of a loss that it may bring
 #define FIRST_LEAST 0.5 // px at the corner of a photograph: less is that of a pinhole
 #define GAIN_LEAST 0.01 // of the error, of a gain that matters
