@@ -411,13 +411,13 @@ static void fix_unknown(double *s, int n, int k, double *rhs)
 }
 
 /* Expected value of an unknown of a lens less its present one; its weight, and what that is
- * multiplied with where the gap is not credible (Geman-McClure). */
+ * multiplied with where the gap is not credible (Welsch). */
 static double prior_gap(const struct adjust_lens *l, int unknown, double *weight, double *doubt)
 {
     const double term = l->lens.model == LENS_OPENCV_FISHEYE ? FISHEYE_PRIOR : TERM_PRIOR;
     const double focal = l->prior_focal - log(l->lens.fx);
     *weight = unknown == 0 ? l->prior : unknown < ADJUST_CENTRE ? term : CENTRE_PRIOR / l->lens.fx;
-    *doubt = unknown == 0 && l->prior_reach > 0 ? 1 / (1 + pow(focal / l->prior_reach, 2)) : 1;
+    *doubt = unknown == 0 && l->prior_reach > 0 ? exp(-0.5 * pow(focal / l->prior_reach, 2)) : 1;
     if (unknown >= ADJUST_CENTRE)
         return unknown == ADJUST_CENTRE ? -l->lens.cx : -l->lens.cy;
     return unknown == 0 ? focal : -l->lens.term[unknown - 1];
@@ -547,7 +547,9 @@ static double prior_cost(const struct adjust *a)
     for (int i = 0; i < a->n_lenses * ADJUST_LENS; i++) {
         const struct adjust_lens *l = &a->lens[i / ADJUST_LENS];
         double weight, doubt, d = prior_gap(l, i % ADJUST_LENS, &weight, &doubt);
-        sum += l->free[i % ADJUST_LENS] ? 0.5 * d * d * weight * weight * doubt : 0;
+        const double counts =
+            doubt < 1 ? pow(l->prior_reach, 2) * (1 - doubt * doubt) : d * d; // its integral
+        sum += l->free[i % ADJUST_LENS] ? 0.5 * counts * weight * weight : 0;
     }
     return sum;
 }

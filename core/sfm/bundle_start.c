@@ -12,7 +12,7 @@
  * another diagonal), and sightings, which count as independent, were off by 7 to 10 standard errors
  * outdoors: five is what they count for; a network's; of no knowledge. */
 static const double PRIOR_KNOWN = 5 / 0.06, PRIOR_START = 4, PRIOR_USUAL = 2;
-static const double PRIOR_REACH = 0.2; // more in ln is EXIF of a photograph that was cut
+static const double PRIOR_REACH = 0.3; // more in ln is EXIF of a photograph that was cut
 static const double CLEARLY = 1.02; // redundancy over that of another answer, not to believe EXIF
 
 /* Focal length over picture size: 120 degrees of a fisheye. */
