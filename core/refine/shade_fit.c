@@ -57,9 +57,9 @@ struct fit {
     double *whole; // (PARAMS^2) normal equations, lower triangle
     double *part;  // (PARAMS^2) of the active ones
     double right[PARAMS], x[PARAMS];
-    double *drift, *sum; // (n) stops of the views; scratch
+    double *drift, *sum; // (3, n) stops of the views by colour; (n) scratch
     bool active[PARAMS];
-    bool drifts;                    // light is fitted
+    bool drifts, coloured;          // light is fitted, each colour by itself
     struct light_change_seen *left; // (n) what is not explained
     int params;
     double gate; // largest error of an inlier, stops
@@ -87,7 +87,7 @@ static err_t layout(struct fit *f, struct arena *tmp, int n_views)
     if (!e)
         e = arena_alloc(tmp, cap, sizeof *f->left, &f->left);
     if (!e)
-        e = arena_zalloc(tmp, (size_t)n_views, sizeof *f->drift, &f->drift);
+        e = arena_zalloc(tmp, 3 * (size_t)n_views, sizeof *f->drift, &f->drift);
     if (!e)
         e = arena_alloc(tmp, (size_t)n_views, sizeof *f->sum, &f->sum);
     return e ? e : arena_alloc(tmp, most * most, sizeof *f->part, &f->part);
@@ -227,7 +227,8 @@ static void add_row(const struct observation *s, int view, int c, int index[OWN]
 /* The difference but for the light of the photographs. */
 static double even_difference(const struct fit *f, const struct observation *s, int c)
 {
-    return (double)s->d[c] - f->drift[s->view[0]] + f->drift[s->view[1]];
+    const double *drift = f->drift + c * f->in->v->n;
+    return (double)s->d[c] - drift[s->view[0]] + drift[s->view[1]];
 }
 
 static double log_residual(const struct fit *f, const struct observation *s, int c)
@@ -326,14 +327,14 @@ static double residual_spread(struct fit *f)
 }
 
 /* Mean drift of the n photographs at the exposure of view i. */
-static double mean_of_exposure(const struct fit *f, int i, int *n)
+static double mean_of_exposure(const struct fit *f, const double *drift, int i, int *n)
 {
     const struct views *v = f->in->v;
     double sum = 0;
     *n = 0;
     for (int k = 0; k < v->n; k++)
         if (fabsf(views_set_log2t(v, k) - views_set_log2t(v, i)) < (float)APART) {
-            sum += f->drift[k];
+            sum += drift[k];
             (*n)++;
         }
     return sum / *n;
@@ -342,67 +343,77 @@ static double mean_of_exposure(const struct fit *f, int i, int *n)
 /* Takes the means of the exposures away where these differ by far more than photographs of one
  * exposure let expect (analysis of variance): lamps and clouds do not know how long a camera
  * exposes, but its image processor does. */
-static void level_exposures(struct fit *f)
+static void level_exposures(struct fit *f, double *drift)
 {
     const int n = f->in->v->n;
     double between = 0, within = 0, exposures = 0;
     for (int i = 0; i < n; i++) {
         int same;
-        f->sum[i] = mean_of_exposure(f, i, &same);
+        f->sum[i] = mean_of_exposure(f, drift, i, &same);
         between += f->sum[i] * f->sum[i];
-        within += (f->drift[i] - f->sum[i]) * (f->drift[i] - f->sum[i]);
+        within += (drift[i] - f->sum[i]) * (drift[i] - f->sum[i]);
         exposures += 1.0 / same;
     }
     const double free[2] = {exposures - 2, n - exposures}; // mean and trend are gone
     if (free[0] < 0.5 || free[1] < 0.5 || between * free[1] <= BY_EXPOSURE * within * free[0])
         return;
     for (int i = 0; i < n; i++)
-        f->drift[i] -= f->sum[i];
+        drift[i] -= f->sum[i];
 }
 
 /* Into the gauge. */
-static void centre_drift(struct fit *f)
+static void centre_drift(struct fit *f, double *drift)
 {
     const struct views *v = f->in->v;
     double mean = 0, middle = 0, xx = 0, xy = 0;
     for (int i = 0; i < v->n; i++) {
-        mean += f->drift[i] / v->n;
+        mean += drift[i] / v->n;
         middle += (double)views_set_log2t(v, i) / v->n;
     }
     for (int i = 0; i < v->n; i++) {
         const double x = (double)views_set_log2t(v, i) - middle;
         xx += x * x;
-        xy += x * f->drift[i];
+        xy += x * drift[i];
     }
     const double slope = !f->in->tone_known && response_is_told(v) ? xy / xx : 0;
     for (int i = 0; i < v->n; i++) {
         const double x = (double)views_set_log2t(v, i) - middle;
-        f->drift[i] -= mean + slope * x;
+        drift[i] -= mean + slope * x;
     }
     if (!f->in->tone_known)
-        level_exposures(f);
+        level_exposures(f, drift);
 }
 
-static void bound_drift(struct fit *f, float *stops)
+static void bound_drift(struct fit *f, struct shade_fit_drift *out)
 {
-    for (int i = 0; i < f->in->v->n; i++) {
+    const int n = f->in->v->n;
+    for (int i = 0; i < 3 * n; i++)
         f->drift[i] = fmin(fmax(f->drift[i], -SHADE_FIT_DRIFT_MOST), SHADE_FIT_DRIFT_MOST);
-        stops[i] = (float)f->drift[i];
+    for (int i = 0; i < n; i++) {
+        const double *drift = f->drift + i;
+        const double mean = f->coloured ? (drift[0] + drift[n] + drift[2 * n]) / 3 : drift[0];
+        out->stops[i] = (float)mean;
+        for (int c = 0; c < 3 && out->balance; c++)
+            out->balance[i][c] = (float)(drift[c * n] - mean);
     }
 }
 
-/* The light of each photograph, the other terms as they are. */
-static void fit_drift(struct fit *f, bool held, double scale)
+/* The light of each photograph in a colour, in all alike if it is -1, the other terms as they
+ * are. */
+static void fit_colour(struct fit *f, int colour, bool held, double scale)
 {
     const size_t n = (size_t)f->in->v->n;
+    const int first = colour < 0 ? 0 : colour, end = colour < 0 ? 3 : colour + 1;
     double *x = f->sum;
     memset(f->part, 0, n * n * sizeof *f->part);
     memset(x, 0, n * sizeof *x);
-    for (int i = 0; i < 3 * f->n; i++) {
-        const struct observation *s = &f->seen[i / 3];
-        const double w = weight_of(f, i, held, scale);
+    for (int i = 0; i < (end - first) * f->n; i++) {
+        const int at = i / (end - first), c = first + i % (end - first);
+        const struct observation *s = &f->seen[at];
+        const double w = weight_of(f, 3 * at + c, held, scale);
         const size_t a = s->view[0], b = s->view[1];
-        const double d = log_residual(f, s, i % 3) + f->drift[a] - f->drift[b];
+        const double *drift = f->drift + (size_t)c * n;
+        const double d = log_residual(f, s, c) + drift[a] - drift[b];
         f->part[a * n + a] += w;
         f->part[b * n + b] += w;
         f->part[a > b ? a * n + b : b * n + a] -= w;
@@ -415,8 +426,17 @@ static void fit_drift(struct fit *f, bool held, double scale)
     if (!lin_cholesky(f->part, (int)n))
         return;
     lin_solve(f->part, (int)n, x);
-    memcpy(f->drift, x, n * sizeof *x);
-    centre_drift(f);
+    double *drift = f->drift + (size_t)first * n;
+    memcpy(drift, x, n * sizeof *x);
+    centre_drift(f, drift);
+    for (int c = first + 1; c < end; c++)
+        memcpy(f->drift + (size_t)c * n, drift, n * sizeof *drift);
+}
+
+static void fit_drift(struct fit *f, bool held, double scale)
+{
+    for (int c = f->coloured ? 0 : -1; c < (f->coloured ? 3 : 0); c++)
+        fit_colour(f, c, held, scale);
 }
 
 static void fit_terms(struct fit *f, bool held)
@@ -510,33 +530,62 @@ static bool is_needed(struct fit *f, int camera, const bool without[PARAMS], dou
     return is_clear(f, camera);
 }
 
+/* Fit all terms with the light of the photographs as `out` says it is. */
+static void fit_with(struct fit *f, const struct shade_fit_drift *out)
+{
+    const int n = f->in->v->n;
+    f->drifts = out->kept;
+    f->coloured = out->coloured;
+    for (int i = 0; i < 3 * n; i++)
+        f->drift[i] = out->kept ? (double)out->stops[i % n] : 0;
+    fit_terms(f, false);
+}
+
 /* Fit all terms with the light of the photographs, or without it where that does as well. */
 static void choose_drift(struct fit *f, struct shade_fit_drift *out)
 {
-    const size_t n = (size_t)f->in->v->n;
+    const int n = f->in->v->n;
     double square = 0;
     f->drifts = true;
     fit_terms(f, false);
-    bound_drift(f, out->stops);
+    bound_drift(f, out);
     f->gate = 3 * residual_spread(f);
     out->error = sqrt(held_error(f, -1, &out->held));
     clear_errors(f);
     add_errors(f, -1, -1);
-    for (size_t i = 0; i < n; i++)
+    for (int i = 0; i < n; i++)
         square += f->drift[i] * f->drift[i];
     f->drifts = false;
-    memset(f->drift, 0, n * sizeof *f->drift);
+    memset(f->drift, 0, 3 * (size_t)n * sizeof *f->drift);
     memset(f->x, 0, sizeof f->x);
     fit_terms(f, false);
     add_errors(f, -1, 1);
     out->error_before = sqrt(held_error(f, -1, &out->held));
-    out->kept = is_clear(f, -1) && square > (double)n * DRIFT_LEAST * DRIFT_LEAST;
-    if (!out->kept)
+    out->kept = is_clear(f, -1) && square > n * DRIFT_LEAST * DRIFT_LEAST;
+    if (out->kept)
+        fit_with(f, out);
+}
+
+/* The same with a white balance of each photograph. */
+static void choose_balance(struct fit *f, struct shade_fit_drift *out)
+{
+    const int n = f->in->v->n;
+    double square = 0;
+    clear_errors(f);
+    add_errors(f, -1, 1);
+    out->error_grey = sqrt(held_error(f, -1, &out->held));
+    const struct shade_fit_drift grey = *out;
+    out->kept = out->coloured = true;
+    fit_with(f, out);
+    add_errors(f, -1, -1);
+    bound_drift(f, out);
+    for (int i = 0; i < 3 * n; i++)
+        square += pow((double)out->balance[i / 3][i % 3], 2) / 3;
+    out->error = sqrt(held_error(f, -1, &out->held));
+    if (is_clear(f, -1) && square > n * DRIFT_LEAST * DRIFT_LEAST)
         return;
-    f->drifts = true;
-    for (size_t i = 0; i < n; i++)
-        f->drift[i] = (double)out->stops[i];
-    fit_terms(f, false);
+    *out = grey;
+    fit_with(f, out);
 }
 
 /* Take a term away, of one camera or of all (-1), if it is not needed. */
@@ -594,10 +643,12 @@ static void choose_terms(struct fit *f, struct shade_fit_camera *out, struct sha
     f->params = OWN * cameras;
     for (int k = 0; k < f->params; k++)
         f->active[k] = cameras > 1 || k < SHADE_TERMS;
-    if (f->in->v->n <= SHADE_FIT_PLACES)
-        choose_drift(f, drift);
-    else
+    if (f->in->v->n > SHADE_FIT_PLACES)
         fit_terms(f, false);
+    else
+        choose_drift(f, drift);
+    if (f->in->v->n <= SHADE_FIT_PLACES && drift->balance)
+        choose_balance(f, drift);
     const double scale = residual_spread(f);
     f->gate = 3 * scale;
     accumulate_normal(f, false, 2 * scale);
@@ -610,7 +661,7 @@ static void choose_terms(struct fit *f, struct shade_fit_camera *out, struct sha
         out[k].error = sqrt(held_error(f, k, &out[k].held));
     fit_terms(f, true);
     take_models(f, out);
-    bound_drift(f, drift->stops);
+    bound_drift(f, drift);
 }
 
 /* Whether what is left of the differences, the mean of the colours, has two states. */
@@ -644,7 +695,9 @@ err_t shade_fit_run(const struct run *r, const struct shade_fit_input *in,
     const size_t mark = arena_mark(r->tmp);
     memset(out, 0, (size_t)in->n_cameras * sizeof *out);
     memset(drift->stops, 0, (size_t)in->v->n * sizeof *drift->stops);
-    *drift = (struct shade_fit_drift){.stops = drift->stops};
+    *drift = (struct shade_fit_drift){.stops = drift->stops, .balance = drift->balance};
+    for (int i = 0; i < in->v->n && drift->balance; i++)
+        memset(drift->balance[i], 0, sizeof drift->balance[i]);
     memset(change->other, 0, (size_t)in->v->n * sizeof *change->other);
     *change = (struct light_change){.other = change->other};
     err_t e = layout(&f, r->tmp, in->v->n);

@@ -42,12 +42,14 @@ struct shade_fit_camera {
 #define SHADE_FIT_DRIFT_MOST 3.0 // stops, no photograph's light is farther from the mean
 
 /* Light of the photographs, judged for all of them together; 0.03 stops at least, root mean square,
- * or it is not kept. */
+ * or it is not kept. Then their white balance (automatic in most cameras), in the same way. */
 struct shade_fit_drift {
-    bool kept;
+    bool kept, coloured;        // coloured: the white balance is, too
     int held;                   // left-out observations of surfaces
     double error_before, error; // of all of them, as above: without it, and with it
+    double error_grey;          // without white balance, where that was tried
     float *stops;               // (n) of the caller; 0 if not kept
+    float (*balance)[3];        // (n) of the caller, stops of R,G,B beside these; NULL: not asked
 };
 
 struct shade_fit_input {

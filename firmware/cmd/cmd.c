@@ -11,13 +11,14 @@
 #include "drivers/format/origin.h"
 #include "drivers/format/pixels.h"
 
+#include <assert.h>
 #include <errno.h>
 #include <getopt.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
-enum { OPTIONS_MAX = 32, OPT_HELP = 'h', OPT_CONFIG = 256, OPT_SET, OPT_FIRST };
+enum { OPTIONS_MAX = 64, OPT_HELP = 'h', OPT_CONFIG = 256, OPT_SET, OPT_FIRST };
 
 static void print_option(const char *name, const char *arg, const char *help)
 {
@@ -79,6 +80,7 @@ int cmd_finish_job(const char *name, err_t e, const struct job_result *j, bool s
 
 static void fill_table(const struct cmd_usage *u, struct option *table)
 {
+    assert(u->n_options + 4 <= OPTIONS_MAX);
     for (int i = 0; i < u->n_options; i++) {
         const struct cmd_option *o = &u->options[i];
         table[i] =

@@ -21,7 +21,7 @@ enum {
 
 struct request {
     const char *out, *views, *kind, *spread, *orbit, *fov, *exposures, *curve, *local, *samples,
-        *moving, *flicker, *lamp_switch;
+        *moving, *flicker, *balance, *lamp_switch;
     const char *rig_path;
     const char *board, *tag, *distance, *before;
     struct target target;
@@ -231,7 +231,7 @@ static err_t read_scene(struct request *rq, struct dataset_request *a)
 static err_t read_request(struct request *rq, struct dataset_request *a)
 {
     int family = CURVE_FILMIC, local = LOCAL_TONE_NONE;
-    double moving = 0, flicker = 0, lit = 0;
+    double moving = 0, flicker = 0, balance = 0, lit = 0;
     err_t e = read_scene(rq, a);
     if (!e)
         e = read_exposures(rq->exposures ? rq->exposures : "0.015625,0.0625,0.25,1,4", a);
@@ -244,11 +244,14 @@ static err_t read_request(struct request *rq, struct dataset_request *a)
     if (!e)
         e = read_number("--flicker", rq->flicker, 0, DATASET_FLICKER_MAX, &flicker);
     if (!e)
+        e = read_number("--white-balance", rq->balance, 0, DATASET_FLICKER_MAX, &balance);
+    if (!e)
         e = read_number("--lamp-switch", rq->lamp_switch, 0, 1, &lit);
     if (e)
         return e;
     a->passer = (struct passer){a->sample.seed, (float)moving};
     a->flicker = (float)flicker;
+    a->balance = (float)balance;
     a->lit = (float)lit;
     a->sample.switched = rq->lamp_switch ? SAMPLE_OFF : SAMPLE_NO_SWITCH;
     a->noise = !rq->noise_free;
@@ -308,6 +311,8 @@ static err_t write_report(const struct request *rq, const struct dataset_request
         report_number(&rep, "moving", (double)a->passer.share);
     if (rq->flicker)
         report_number(&rep, "flicker_stops", (double)a->flicker);
+    if (rq->balance)
+        report_number(&rep, "white_balance_stops", (double)a->balance);
     if (rq->lamp_switch)
         report_number(&rep, "lamp_switch", (double)a->lit);
     report_bool(&rep, "noise", a->noise);
@@ -410,6 +415,10 @@ static const struct cmd_option options[] = {
      "the light of each of the inputs' photographs is up to STOPS brighter or darker, 0..3; "
      "truth/light.json says how much",
      NULL, &rq.flicker, NULL},
+    {"white-balance", "STOPS",
+     "red and blue of each input are up to STOPS brighter or darker beside green, as by automatic "
+     "white balance, 0..3; truth/red.json and blue.json say how much",
+     NULL, &rq.balance, NULL},
     {"lamp-switch", "SHARE",
      "a lamp, outdoors the sun, is on in that share of the inputs only, 0..1; truth/lamp.json "
      "says in which",

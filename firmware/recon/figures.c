@@ -207,6 +207,8 @@ static void report_input(const struct job_result *j, int i, const struct figures
     report_number(rep, "stops", (double)(v->log2t[i] - j->scene.tone.mid_log2t));
     if (v->drift)
         report_number(rep, "light_stops", (double)v->drift[i]);
+    if (j->drift.coloured)
+        report_row(rep, "gain_stops", v->shade[i < v->n ? i : v->place[i - v->n]].model.gain, 3);
     if (j->n_other_light > 0 && j->other_light[i < v->n ? i : v->place[i - v->n]])
         report_bool(rep, "other_light", true);
     report_number(rep, "clipped", in->clipped);

@@ -436,10 +436,7 @@ static void report_making(const struct job_result *j, struct report *rep)
     report_text(rep, NULL, j->sizing);
     if (j->budget[0])
         report_text(rep, NULL, j->budget);
-    char drift[160];
-    shading_tell(j, drift, sizeof drift);
-    if (drift[0])
-        report_text(rep, NULL, drift);
+    shading_tell(j, rep);
     if (j->completed > 0) {
         char text[128];
         snprintf(text, sizeof text,

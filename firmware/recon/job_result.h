@@ -96,7 +96,9 @@ struct job_result {
     int n_light;                             // 0: not looked at
     struct job_light light[SHADE_FIT_CAMERAS];
     struct shade_fit_drift drift; // of the places; stops NULL: not looked at
-    int n_other_light;            // places in the smaller group of light_change.h, and which
+    float balance_most;           // stops, of the place whose white balance is farthest off, and it
+    int balance_place;
+    int n_other_light; // places in the smaller group of light_change.h, and which
     bool other_light[BUNDLE_VIEWS_MAX];
     int n_rig; // 0: not checked
     struct job_rig_camera rig[RIGCHECK_MOST];

@@ -11,6 +11,7 @@
 
 enum { ROUNDS = 8 }; // of curve and light in turn
 #define SETTLED 0.01 // stops, no further round for less
+#define TOLD 0.01f   // stops
 
 err_t shading_layout(struct shade **out, struct arena *keep, int n_views)
 {
@@ -83,29 +84,6 @@ bool shading_found(const struct job_result *j)
     return false;
 }
 
-static void set_models(const struct job_result *j, const int *camera, struct shade *room)
-{
-    for (int i = 0; i < j->views.n; i++)
-        room[i].model = j->light[camera[i]].found.model;
-}
-
-/* Largest difference of the models from those in room, stops. */
-static double largest_change(const struct job_result *j, const int *camera,
-                             const struct shade *room)
-{
-    double most = 0;
-    for (int i = 0; i < j->views.n; i++) {
-        const struct shade_model *a = &j->light[camera[i]].found.model, *b = &room[i].model;
-        struct shade_model d;
-        for (int k = 0; k < SHADE_TERMS; k++)
-            d.term[k] = a->term[k] - b->term[k];
-        for (int c = 0; c < 3; c++)
-            d.gain[c] = a->gain[c] - b->gain[c];
-        most = fmax(most, shade_most(&d));
-    }
-    return most;
-}
-
 /* ---- the step ---- */
 
 /* What a run of shading works on. */
@@ -116,6 +94,7 @@ struct fitting {
     float set[BUNDLE_VIEWS_MAX];   // exposures of in->seen before
     float used[BUNDLE_VIEWS_MAX];  // stops in them since
     float stops[BUNDLE_VIEWS_MAX]; // of drift
+    float balance[BUNDLE_VIEWS_MAX][3];
     struct light_change change;
 };
 
@@ -132,6 +111,7 @@ static err_t fit_models(const struct run *r, struct fitting *f)
                                          .camera = f->camera,
                                          .n_cameras = out->n_light};
     out->drift.stops = f->stops;
+    out->drift.balance = out->n_light ? f->balance : NULL;
     f->change.other = out->other_light;
     err_t e = shade_fit_run(r, &from, found, &out->drift, &f->change);
     for (int k = 0; k < out->n_light && !e; k++)
@@ -142,6 +122,33 @@ static err_t fit_models(const struct run *r, struct fitting *f)
 static bool anything_found(const struct fitting *f)
 {
     return f->out->drift.kept || shading_found(f->out);
+}
+
+/* What the camera and the white balance of place i do to light. */
+static struct shade_model model_of(const struct fitting *f, int i)
+{
+    struct shade_model m = f->out->light[f->camera[i]].found.model;
+    for (int c = 0; c < 3; c++)
+        m.gain[c] += (double)f->balance[i][c];
+    return m;
+}
+
+/* Takes over the models. Returns the largest change, stops. */
+static double use_shades(const struct fitting *f)
+{
+    double most = 0;
+    for (int i = 0; i < f->out->views.n; i++) {
+        struct shade_model *was = &f->in->room[i].model, d;
+        const struct shade_model m = model_of(f, i);
+        for (int k = 0; k < SHADE_TERMS; k++)
+            d.term[k] = m.term[k] - was->term[k];
+        for (int c = 0; c < 3; c++)
+            d.gain[c] = m.gain[c] - was->gain[c];
+        most = fmax(most, shade_most(&d));
+        *was = m;
+    }
+    f->in->seen->shade = f->out->views.shade = f->in->room;
+    return most;
 }
 
 /* Takes over what was found. Returns the largest change, stops. */
@@ -155,12 +162,7 @@ static double use_models(struct fitting *f)
         seen->log2t[i] = log2t;
         f->used[i] = f->stops[i];
     }
-    if (f->out->n_light == 0)
-        return most;
-    most = fmax(most, largest_change(f->out, f->camera, f->in->room));
-    set_models(f->out, f->camera, f->in->room);
-    seen->shade = f->out->views.shade = f->in->room;
-    return most;
+    return f->out->n_light ? fmax(most, use_shades(f)) : most;
 }
 
 static void begin_fitting(struct fitting *f)
@@ -201,16 +203,31 @@ static void warn_change(const struct fitting *f)
                     names, rest, out->views.n_more ? "these places" : "these");
 }
 
+static void note_balance(const struct fitting *f)
+{
+    struct job_result *out = f->out;
+    out->balance_most = 0;
+    for (int i = 0; i < 3 * out->views.n && out->drift.coloured; i++) {
+        const float stops = fabsf(f->balance[i / 3][i % 3]);
+        if (stops <= out->balance_most)
+            continue;
+        out->balance_most = stops;
+        out->balance_place = i / 3;
+    }
+}
+
 /* All photographs of a place share its drift. */
 static void end_fitting(struct fitting *f)
 {
     struct views *v = &f->out->views;
     float *drift = f->in->drift;
+    note_balance(f);
     f->out->n_other_light = f->change.others;
     if (f->change.others > 0)
         warn_change(f);
     f->in->seen->drift = NULL; // it has done its work
     f->out->drift.stops = drift;
+    f->out->drift.balance = NULL;
     if (!f->out->drift.kept)
         return;
     for (int i = 0; i < v->n + v->n_more; i++) {
@@ -242,7 +259,7 @@ err_t shading_run(const struct run *r, const struct shading_input *in, struct jo
     }
     if (!e && !anything_found(&f))
         *in->tone = before;
-    if (!shading_found(out))
+    if (!shading_found(out) && !out->drift.coloured)
         in->seen->shade = out->views.shade = NULL;
     end_fitting(&f);
     return e;
@@ -366,17 +383,26 @@ static int farthest_light(const struct job_result *j)
     return most;
 }
 
-void shading_tell(const struct job_result *j, char *text, size_t cap)
+void shading_tell(const struct job_result *j, struct report *rep)
 {
     const float *drift = j->views.drift;
-    text[0] = 0;
-    if (!drift)
-        return;
-    const int i = farthest_light(j);
-    snprintf(text, cap,
-             "light was not the same in all photographs, up to %.2f stops %s (%.40s): evened out%s",
-             fabs((double)drift[i]), drift[i] > 0 ? "brighter" : "darker", j->views.names[i],
-             fabs((double)drift[i]) < SHADE_FIT_DRIFT_MOST ? "" : " as far as that goes");
+    char text[192];
+    const int i = drift ? farthest_light(j) : 0;
+    if (drift && fabsf(drift[i]) >= TOLD) {
+        snprintf(text, sizeof text,
+                 "light was not the same in all photographs, up to %.2f stops %s (%.40s): evened "
+                 "out%s",
+                 fabs((double)drift[i]), drift[i] > 0 ? "brighter" : "darker", j->views.names[i],
+                 fabs((double)drift[i]) < SHADE_FIT_DRIFT_MOST ? "" : " as far as that goes");
+        report_text(rep, NULL, text);
+    }
+    if (j->drift.coloured) {
+        snprintf(text, sizeof text,
+                 "white balance was not the same in all photographs, up to %.2f stops (%.40s): "
+                 "evened out",
+                 (double)j->balance_most, j->views.names[j->balance_place]);
+        report_text(rep, NULL, text);
+    }
 }
 
 static void report_drift(const struct job_result *j, struct report *rep)
@@ -389,6 +415,9 @@ static void report_drift(const struct job_result *j, struct report *rep)
     report_int(rep, "left_out_observations", d->held);
     report_number(rep, "left_out_error_without", d->error_before);
     report_number(rep, "left_out_error_with", d->error);
+    report_bool(rep, "white_balance", d->coloured);
+    if (d->error_grey > 0)
+        report_number(rep, "left_out_error_without_white_balance", d->error_grey);
     report_close(rep);
 }
 

@@ -52,8 +52,8 @@ bool shading_found(const struct job_result *j);
 bool shading_of(const struct job_result *j, const struct shot *s, const struct camera *view,
                 struct shade *out);
 
-/* A sentence about drift, "" if there was none. */
-void shading_tell(const struct job_result *j, char *text, size_t cap);
+/* Sentences about light and white balance that changed, for a list of report.json. */
+void shading_tell(const struct job_result *j, struct report *rep);
 
 /* For report.json. */
 void shading_report(const struct job_result *j, struct report *rep);

@@ -77,28 +77,44 @@ static bool is_passed(const struct dataset_request *a, int view, int k)
     return before < (n + 2) / 3;
 }
 
-/* -1..1 of a photograph, by its number. */
-static double draw_light(const struct dataset_request *a, int number)
+/* -1..1 of a photograph, by its number, for one of several purposes. */
+static double draw_evenly(const struct dataset_request *a, uint64_t purpose, int number)
 {
-    const uint64_t seed = splitmix_mix(a->sample.seed + 2);
+    const uint64_t seed = splitmix_mix(a->sample.seed + purpose);
     return (double)(splitmix_mix(seed + (uint64_t)number) >> 11) * 0x1p-52 - 1;
+}
+
+/* The same, less the mean of every `step`th photograph of inputs. */
+static float draw_beside(const struct dataset_request *a, uint64_t purpose, int step, int number)
+{
+    double sum = 0;
+    int n = 0;
+    for (int i = 0; i < a->sample.n_views * DATASET_EXPOSURES; i += step) {
+        if (!is_input_photo(a, i))
+            continue;
+        n++;
+        sum += draw_evenly(a, purpose, i);
+    }
+    return (float)(draw_evenly(a, purpose, number) - sum / n);
 }
 
 /* Stops of the light of a photograph beside that of the others. */
 static float light_of(const struct dataset_request *a, int view, int k)
 {
     const int number = view * DATASET_EXPOSURES + k;
-    double sum = 0;
-    int n = 0;
-    if (!(a->flicker > 0) || !is_input_photo(a, number))
-        return 0;
-    for (int i = 0; i < a->sample.n_views * DATASET_EXPOSURES; i++) {
-        if (!is_input_photo(a, i))
-            continue;
-        n++;
-        sum += draw_light(a, i);
-    }
-    return a->flicker * (float)(draw_light(a, number) - sum / n);
+    return a->flicker > 0 && is_input_photo(a, number) ? a->flicker * draw_beside(a, 2, 1, number)
+                                                       : 0;
+}
+
+/* Stops of red (0), green and blue by the white balance of a view beside that of the others; a
+ * camera sets it once for the photographs of a view. */
+static float balance_of(const struct dataset_request *a, int view, int colour)
+{
+    const uint64_t purpose[3] = {4, 0, 5};
+    return a->balance > 0 && colour != 1 && sample_is_input(&a->sample, view)
+               ? a->balance *
+                     draw_beside(a, purpose[colour], DATASET_EXPOSURES, view * DATASET_EXPOSURES)
+               : 0;
 }
 
 /* Whether the switched light is on: in a share of the inputs, drawn by the seed. */
@@ -165,16 +181,30 @@ static err_t write_radiance(const struct set *s, int view)
     return e ? e : exrfile_write(path, &im, &extra, NULL);
 }
 
+/* s->seen of a view through its optics, and its white balance. */
+static void pass_camera(const struct set *s, int view)
+{
+    const struct optics *o = sample_optics(&s->a->sample, view);
+    const size_t n = extent_pixels(&s->extent[view]);
+    if (o && optics_dims(o))
+        optics_apply(o, s->seen);
+    for (int c = 0; c < 3 && s->a->balance > 0; c++) {
+        const float gain = exp2f(balance_of(s->a, view, c));
+        for (size_t i = 0; i < n; i++)
+            s->seen[(size_t)c * n + i] *= gain;
+    }
+}
+
 /* The radiance that the sensor of a view gets. */
 static const float *seen_radiance(const struct set *s, int view)
 {
     const struct optics *o = sample_optics(&s->a->sample, view);
     const struct extent *x = &s->extent[view];
     const float *radiance = place_of(s, view)->radiance + 3 * x->at;
-    if (!o || !optics_dims(o))
+    if (!(o && optics_dims(o)) && !(s->a->balance > 0))
         return radiance;
     memcpy(s->seen, radiance, 3 * extent_pixels(x) * sizeof *s->seen);
-    optics_apply(o, s->seen);
+    pass_camera(s, view);
     return s->seen;
 }
 
@@ -210,8 +240,8 @@ static err_t pass_by(const struct run *r, const struct set *s, const struct samp
     one.first = (uint64_t)k;
     memcpy(s->seen, place_of(s, view)->radiance + 3 * x->at, n * sizeof *s->seen);
     err_t e = passer_draw(r, place_of(s, view)->world, &a->passer, &shot, s->seen, s->mask);
-    if (!e && o && optics_dims(o))
-        optics_apply(o, s->seen);
+    if (!e)
+        pass_camera(s, view);
     if (!e)
         e = sample_expose(r, &one, s->seen, 1, stops, s->px + n * (size_t)k);
     return e ? e : write_mask(s, view, k);
@@ -248,17 +278,19 @@ static err_t open_text(const struct set *s, const char *name, char path[FILE_PAT
     return e ? e : file_create(path, out);
 }
 
-enum number { EXPOSURE, LIGHT, LAMP };
+enum number { EXPOSURE, LIGHT, RED, BLUE, LAMP };
 
 static double number_of(const struct dataset_request *a, enum number what, int view, int k)
 {
     if (what == LIGHT)
         return (double)light_of(a, view, k);
+    if (what == RED || what == BLUE)
+        return (double)balance_of(a, view, what == RED ? 0 : 2);
     return what == LAMP ? (double)is_lit(a, view) : exp2((double)a->stops[k]);
 }
 
 /* A number of each photograph that is written, or of those of inputs: its exposure, stops of its
- * light, whether the switched light is on. */
+ * light, of red and of blue, whether the switched light is on. */
 static err_t write_numbers(const struct set *s, const char *file, enum number what)
 {
     const struct dataset_request *a = s->a;
@@ -335,9 +367,9 @@ static err_t make_folders(const struct set *s)
 {
     static const char *const names[] = {"images",   "images_hdr", "sparse",
                                         "sparse/0", "truth",      "truth/masks"};
-    const int n = s->a->passer.share > 0                                           ? 6
-                  : s->a->flicker > 0 || s->a->sample.switched != SAMPLE_NO_SWITCH ? 5
-                                                                                   : 4;
+    const struct dataset_request *a = s->a;
+    const bool truth = a->flicker > 0 || a->balance > 0 || a->sample.switched != SAMPLE_NO_SWITCH;
+    const int n = a->passer.share > 0 ? 6 : truth ? 5 : 4;
     char path[FILE_PATH_CAP];
     for (int i = 0; i < n; i++) {
         err_t e = file_join(s->dir, names[i], path);
@@ -363,10 +395,13 @@ static err_t check_request(const struct dataset_request *a)
     if (!(a->lit >= 0 && a->lit <= 1))
         return err_fail(ERR_ARG, "data set: light is on in a share of %g, allowed are 0 to 1",
                         (double)a->lit);
-    return a->flicker >= 0 && (double)a->flicker <= DATASET_FLICKER_MAX
+    if (!(a->flicker >= 0 && (double)a->flicker <= DATASET_FLICKER_MAX))
+        return err_fail(ERR_ARG, "data set: flicker of %g stops, allowed are 0 to %g",
+                        (double)a->flicker, DATASET_FLICKER_MAX);
+    return a->balance >= 0 && (double)a->balance <= DATASET_FLICKER_MAX
                ? OK
-               : err_fail(ERR_ARG, "data set: flicker of %g stops, allowed are 0 to %g",
-                          (double)a->flicker, DATASET_FLICKER_MAX);
+               : err_fail(ERR_ARG, "data set: white balance off by %g stops, allowed are 0 to %g",
+                          (double)a->balance, DATASET_FLICKER_MAX);
 }
 
 static err_t alloc_set(struct arena *keep, struct set *s)
@@ -379,7 +414,7 @@ static err_t alloc_set(struct arena *keep, struct set *s)
         e = arena_alloc(keep, all, sizeof(float), &s->place.depth);
     if (!e && a->sample.switched != SAMPLE_NO_SWITCH)
         e = arena_alloc(keep, all * 3, sizeof(float), &s->lit.radiance);
-    if (!e && (a->sample.n_optics > 0 || a->passer.share > 0))
+    if (!e && (a->sample.n_optics > 0 || a->passer.share > 0 || a->balance > 0))
         e = arena_alloc(keep, largest, 3 * sizeof *s->seen, &s->seen);
     if (!e && a->passer.share > 0)
         e = arena_alloc(keep, largest, 4, &s->mask);
@@ -440,6 +475,10 @@ err_t dataset_write(const struct run *r, const struct dataset_request *a, const 
         e = write_numbers(&s, "exposure.json", EXPOSURE);
     if (!e && a->flicker > 0)
         e = write_numbers(&s, "truth/light.json", LIGHT);
+    if (!e && a->balance > 0)
+        e = write_numbers(&s, "truth/red.json", RED);
+    if (!e && a->balance > 0)
+        e = write_numbers(&s, "truth/blue.json", BLUE);
     if (!e && a->sample.switched != SAMPLE_NO_SWITCH)
         e = write_numbers(&s, "truth/lamp.json", LAMP);
     if (!e)

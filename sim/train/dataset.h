@@ -17,11 +17,11 @@ struct dataset_request {
     float stops[DATASET_EXPOSURES]; // ascending, log2 of the exposure over the metered one
     bool noise;                     // as in sensor_default
     bool input_truth;               // radiance and depth of inputs, too
-    enum local_tone local; // of all photographs, before the curve
+    enum local_tone local;          // of all photographs, before the curve
     struct curve curve;
     struct passer passer; // in a third of the photographs of inputs; share 0: nobody
-    float
-        flicker; // 0..DATASET_FLICKER_MAX stops: the light of each of these photographs is another
+    float flicker; // 0..DATASET_FLICKER_MAX stops: each of these photographs has another light
+    float balance; // the same: each input has another white balance
     float lit; // 0..1 with a switched light, which is off in `sample`: in this share of the inputs
                // it is on
 };
@@ -36,6 +36,8 @@ struct dataset_request {
  *   255 elsewhere
  *   with flicker, truth/light.json: stops of the light of each photograph of an input, drawn evenly
  *   from -flicker..flicker, less their mean: that is no flicker but light
+ *   with balance, truth/red.json and blue.json: stops of these beside green, drawn evenly from
+ *   -balance..balance for each input, less their mean
  *   with a switched light, truth/lamp.json: 1 for each photograph of an input that it is on in, 0
  *   for the others; inputs are drawn by the seed, and what is held out and metered shows it off
  * Of several cameras, the EXIF data of a picture name the one that took it. Radiance is that before

@@ -24,7 +24,7 @@ static struct world {
     struct camera cams[VIEWS];
     struct shade shade[VIEWS];
     int camera[VIEWS];
-    float log2t[VIEWS], stops[VIEWS], z[VIEWS * MPX], conf[VIEWS * MPX];
+    float log2t[VIEWS], stops[VIEWS], balance[VIEWS][3], z[VIEWS * MPX], conf[VIEWS * MPX];
     uint8_t rgb[3 * VIEWS * PX];
     struct shade_fit_input in;
     struct shade_fit_drift drift;
@@ -95,6 +95,7 @@ static int setup(void **state)
     }
     w.in = (struct shade_fit_input){&w.v, &w.depth, &w.tone, true, w.shade, w.camera, 2};
     w.drift.stops = w.stops;
+    w.drift.balance = w.balance;
     w.change.other = w.other;
     w.r = (struct run){.tmp = &w.tmp};
     return arena_init(&w.tmp, "tmp", shade_fit_plan(VIEWS)) == OK ? 0 : -1;
@@ -179,6 +180,44 @@ static void light_up(float times)
         w.log2t[i] += times * lit[i];
         photograph(i, &none);
         w.log2t[i] -= times * lit[i];
+    }
+}
+
+/* A white balance of each photograph, with light or without; light alone has none, nor has what
+ * cameras differ by. */
+static void white_balance_that_changes_is_found(void **state)
+{
+    struct shade_fit_camera found[2];
+    (void)state;
+    w.in.n_cameras = 1;
+    for (int light = 0; light < 2; light++) {
+        for (int i = 0; i < VIEWS; i++) {
+            const double red = (double)lit[i], blue = (double)lit[(i + 3) % VIEWS];
+            photograph(i, &(struct shade_model){.gain = {red, light ? 0 : -red - blue, blue}});
+        }
+        assert_int_equal(shade_fit_run(&w.r, &w.in, found, &w.drift, &w.change), OK);
+        assert_true(w.drift.kept && w.drift.coloured);
+        assert_true(w.drift.error < 0.5 * w.drift.error_grey);
+        for (int i = 0; i < VIEWS; i++) {
+            const float red = lit[i], blue = lit[(i + 3) % VIEWS];
+            const float mean = light ? (red + blue) / 3 : 0;
+            assert_float_equal(w.stops[i], mean, 0.02);
+            assert_float_equal(w.balance[i][0], red - mean, 0.02);
+            assert_float_equal(w.balance[i][2], blue - mean, 0.02);
+            assert_float_equal(w.balance[i][0] + w.balance[i][1] + w.balance[i][2], 0, 1e-5);
+        }
+    }
+    for (int cameras = 1; cameras <= 2; cameras++) {
+        w.in.n_cameras = cameras;
+        if (cameras == 1)
+            light_up(1);
+        else
+            photograph_all(real);
+        assert_int_equal(shade_fit_run(&w.r, &w.in, found, &w.drift, &w.change), OK);
+        assert_true(!w.drift.coloured && w.drift.kept == (cameras == 1));
+        assert_true(w.drift.error_grey > 0);
+        for (int i = 0; i < VIEWS; i++)
+            assert_true(w.balance[i][0] == 0 && w.balance[i][1] == 0 && w.balance[i][2] == 0);
     }
 }
 
@@ -342,6 +381,7 @@ int main(void)
         cmocka_unit_test_setup_teardown(what_is_there_is_found, setup, teardown),
         cmocka_unit_test_setup_teardown(what_is_not_there_is_not_found, setup, teardown),
         cmocka_unit_test_setup_teardown(one_camera_has_vignetting_only, setup, teardown),
+        cmocka_unit_test_setup_teardown(white_balance_that_changes_is_found, setup, teardown),
         cmocka_unit_test_setup_teardown(light_that_changes_is_found, setup, teardown),
         cmocka_unit_test_setup_teardown(a_trend_is_light_under_a_known_curve, setup, teardown),
         cmocka_unit_test_setup_teardown(a_function_of_the_exposure_is_no_light, setup, teardown),

@@ -55,6 +55,13 @@ static err_t write_set(const char *name, float share, const struct optics *optic
     return write_request(name, a, threads);
 }
 
+static err_t write_balance(const char *name, float balance)
+{
+    struct dataset_request a = plain;
+    a.balance = balance;
+    return write_request(name, a, 1);
+}
+
 static err_t write_flicker(const char *name, float flicker, int threads)
 {
     struct dataset_request a = plain;
@@ -156,15 +163,23 @@ static void behind_a_lens(void **state)
     assert_true(passed > 0);
 }
 
-static double mean_of(const char *set, const char *name)
+static double mean_of_colour(const char *set, const char *name, int c)
 {
     struct image8 im;
     double sum = 0;
     assert_int_equal(img_read(in_set(set, "images", name), &im), OK);
-    for (int i = 0; i < 3 * SIZE * SIZE; i++)
-        sum += im.px[i];
+    for (int i = 0; i < SIZE * SIZE; i++)
+        sum += im.px[3 * i + c];
     img_free(&im);
-    return sum / (3 * SIZE * SIZE);
+    return sum / (SIZE * SIZE);
+}
+
+static double mean_of(const char *set, const char *name)
+{
+    double sum = 0;
+    for (int c = 0; c < 3; c++)
+        sum += mean_of_colour(set, name, c) / 3;
+    return sum;
 }
 
 /* Photographs are as much brighter as the file says, in the mean not at all; what is held out
@@ -198,6 +213,47 @@ static void light_flickers(void **state)
     }
     assert_int_equal(write_flicker("dark", 3.1f, 1), ERR_ARG);
     assert_non_null(strstr(err_text(), "flicker"));
+}
+
+/* Red and blue of an input are as much brighter beside green as the files say, in the mean not at
+ * all; green and what is held out stay. */
+static void white_balance_changes(void **state)
+{
+    static const char *const file[3] = {"truth/red.json", NULL, "truth/blue.json"};
+    char name[NAME_CAP];
+    double inside = 0;
+    (void)state;
+    tmpdir_remove();
+    tmpdir_make();
+    assert_int_equal(write_set("without", 0, NULL, 1), OK);
+    assert_int_equal(write_balance("balance", 0.5f), OK);
+    for (int c = 0; c < 3; c += 2) {
+        double sum = 0, most = 0, stops;
+        int n = 0;
+        char path[64];
+        snprintf(path, sizeof path, "balance/%s", file[c]);
+        FILE *f = fopen(tmpdir_path(path), "r");
+        assert_non_null(f);
+        while (fscanf(f, "%*[^\"]\"%127[^\"]\": %lf", name, &stops) == 2) {
+            const double more = mean_of_colour("balance", name, c) - //
+                                mean_of_colour("without", name, c);
+            assert_true(fabs(stops) < 0.03 || (more > 0) == (stops > 0));
+            assert_true(mean_of_colour("balance", name, 1) == mean_of_colour("without", name, 1));
+            sum += stops;
+            most = fmax(most, fabs(stops));
+            n++;
+        }
+        fclose(f);
+        assert_int_equal(n, INPUTS * SHOTS);
+        assert_float_equal(sum, 0, 1e-4);
+        assert_true(most > 0.2 && most < 0.8);
+    }
+    for (int i = 0; i < INPUTS - 1; i++) {
+        snprintf(name, sizeof name, "test_ldr_%03d_1.png", i);
+        assert_true(compare_photographs("balance", name, &inside) == 0);
+    }
+    assert_int_equal(write_balance("wrong", 3.1f), ERR_ARG);
+    assert_non_null(strstr(err_text(), "white balance"));
 }
 
 /* The photographs that the file names are brighter than with the lamp off; the others, and what is
@@ -241,8 +297,8 @@ static void wrong_shares(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(others_stay), cmocka_unit_test(behind_a_lens),
-        cmocka_unit_test(light_flickers), cmocka_unit_test(a_lamp_is_switched),
-        cmocka_unit_test(wrong_shares)};
+        cmocka_unit_test(others_stay),        cmocka_unit_test(behind_a_lens),
+        cmocka_unit_test(light_flickers),     cmocka_unit_test(white_balance_changes),
+        cmocka_unit_test(a_lamp_is_switched), cmocka_unit_test(wrong_shares)};
     return cmocka_run_group_tests(tests, tmpdir_setup, tmpdir_teardown);
 }
