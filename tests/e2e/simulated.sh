@@ -55,6 +55,8 @@ cmp -s "$OUT"/{park,toned}/images/train_ldr_000_0.png && fail "no tones"
 # light flickers: what is held out stays, and reconstruction finds it
 simulate lit --seed 7 --kind room --views 7 --size 224 --flicker 0.3
 diff -r "$OUT/room/images_hdr" "$OUT/lit/images_hdr" >/dev/null || fail "flicker: another truth"
+simulate tinted --seed 7 --kind room --views 7 --size 224 --white-balance 0.3
+diff -r "$OUT/room/images_hdr" "$OUT/tinted/images_hdr" >/dev/null || fail "balance: another truth"
 for set in room lit; do
     succeed eval --data "$OUT/$set" --size 224 --refine 0 --json "$OUT/$set.json"
 done
@@ -66,6 +68,17 @@ grep -q '"used": true' "$OUT/lit.json" && grep -q 'light was not the same' "$OUT
 at_least "stops that a left-out surface is better with drift" "$(awk \
     -v a="$(number "$OUT/lit.json" drift left_out_error_without)" \
     -v b="$(number "$OUT/lit.json" drift left_out_error_with)" 'BEGIN { print a - b }')" 0.02
+
+# so is white balance
+for set in room tinted; do
+    succeed eval --data "$OUT/$set" --protocol native --size 224 --refine 0 --json "$OUT/$set.json"
+done
+grep -q '"white_balance": false' "$OUT/room.json" || fail "white balance of none changes"
+grep -q 'white balance was not the same' "$OUT/tinted.json" || fail "white balance is not found"
+[ "$(grep -c '"gain_stops"' "$OUT/tinted.json")" -ge 7 ] || fail "not every photograph has its gains"
+at_least "stops that a left-out surface is better with white balance" "$(awk \
+    -v a="$(number "$OUT/tinted.json" drift left_out_error_without_white_balance)" \
+    -v b="$(number "$OUT/tinted.json" drift left_out_error_with)" 'BEGIN { print a - b }')" 0.02
 
 # so is light that changes within a bracket
 for set in room lit; do
