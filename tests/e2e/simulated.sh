@@ -75,7 +75,7 @@ for set in room tinted; do
 done
 grep -q '"white_balance": false' "$OUT/room.json" || fail "white balance of none changes"
 grep -q 'white balance was not the same' "$OUT/tinted.json" || fail "white balance is not found"
-[ "$(grep -c '"gain_stops"' "$OUT/tinted.json")" -ge 7 ] || fail "not every photograph has its gains"
+[ "$(grep -c '"gain_stops"' "$OUT/tinted.json")" -ge 7 ] || fail "not each photograph has its gains"
 at_least "stops that a surface left out is better with balance" "$(awk \
     -v a="$(number "$OUT/tinted.json" drift left_out_error_without_white_balance)" \
     -v b="$(number "$OUT/tinted.json" drift left_out_error_with)" 'BEGIN { print a - b }')" 0.02
