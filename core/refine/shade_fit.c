@@ -435,7 +435,9 @@ static void fit_colour(struct fit *f, int colour, bool held, double scale)
 
 static void fit_drift(struct fit *f, bool held, double scale)
 {
-    for (int c = f->coloured ? 0 : -1; c < (f->coloured ? 3 : 0); c++)
+    if (!f->coloured)
+        fit_colour(f, -1, held, scale);
+    for (int c = 0; c < 3 && f->coloured; c++)
         fit_colour(f, c, held, scale);
 }
 
@@ -541,6 +543,28 @@ static void fit_with(struct fit *f, const struct shade_fit_drift *out)
     fit_terms(f, false);
 }
 
+/* Fit all terms with a white balance of each photograph, or without where that does as well. */
+static void choose_balance(struct fit *f, struct shade_fit_drift *out)
+{
+    const int n = f->in->v->n;
+    double square = 0;
+    clear_errors(f);
+    add_errors(f, -1, 1);
+    out->error_grey = sqrt(held_error(f, -1, &out->held));
+    const struct shade_fit_drift grey = *out;
+    out->kept = out->coloured = true;
+    fit_with(f, out);
+    add_errors(f, -1, -1);
+    bound_drift(f, out);
+    for (int i = 0; i < 3 * n; i++)
+        square += pow((double)out->balance[i / 3][i % 3], 2) / 3;
+    out->error = sqrt(held_error(f, -1, &out->held));
+    if (is_clear(f, -1) && square > n * DRIFT_LEAST * DRIFT_LEAST)
+        return;
+    *out = grey;
+    fit_with(f, out);
+}
+
 /* Fit all terms with the light of the photographs, or without it where that does as well. */
 static void choose_drift(struct fit *f, struct shade_fit_drift *out)
 {
@@ -564,28 +588,8 @@ static void choose_drift(struct fit *f, struct shade_fit_drift *out)
     out->kept = is_clear(f, -1) && square > n * DRIFT_LEAST * DRIFT_LEAST;
     if (out->kept)
         fit_with(f, out);
-}
-
-/* The same with a white balance of each photograph. */
-static void choose_balance(struct fit *f, struct shade_fit_drift *out)
-{
-    const int n = f->in->v->n;
-    double square = 0;
-    clear_errors(f);
-    add_errors(f, -1, 1);
-    out->error_grey = sqrt(held_error(f, -1, &out->held));
-    const struct shade_fit_drift grey = *out;
-    out->kept = out->coloured = true;
-    fit_with(f, out);
-    add_errors(f, -1, -1);
-    bound_drift(f, out);
-    for (int i = 0; i < 3 * n; i++)
-        square += pow((double)out->balance[i / 3][i % 3], 2) / 3;
-    out->error = sqrt(held_error(f, -1, &out->held));
-    if (is_clear(f, -1) && square > n * DRIFT_LEAST * DRIFT_LEAST)
-        return;
-    *out = grey;
-    fit_with(f, out);
+    if (out->balance)
+        choose_balance(f, out);
 }
 
 /* Take a term away, of one camera or of all (-1), if it is not needed. */
@@ -643,12 +647,10 @@ static void choose_terms(struct fit *f, struct shade_fit_camera *out, struct sha
     f->params = OWN * cameras;
     for (int k = 0; k < f->params; k++)
         f->active[k] = cameras > 1 || k < SHADE_TERMS;
-    if (f->in->v->n > SHADE_FIT_PLACES)
-        fit_terms(f, false);
-    else
+    if (f->in->v->n <= SHADE_FIT_PLACES)
         choose_drift(f, drift);
-    if (f->in->v->n <= SHADE_FIT_PLACES && drift->balance)
-        choose_balance(f, drift);
+    else
+        fit_terms(f, false);
     const double scale = residual_spread(f);
     f->gate = 3 * scale;
     accumulate_normal(f, false, 2 * scale);
@@ -696,8 +698,8 @@ err_t shade_fit_run(const struct run *r, const struct shade_fit_input *in,
     memset(out, 0, (size_t)in->n_cameras * sizeof *out);
     memset(drift->stops, 0, (size_t)in->v->n * sizeof *drift->stops);
     *drift = (struct shade_fit_drift){.stops = drift->stops, .balance = drift->balance};
-    for (int i = 0; i < in->v->n && drift->balance; i++)
-        memset(drift->balance[i], 0, sizeof drift->balance[i]);
+    if (drift->balance)
+        memset(drift->balance, 0, (size_t)in->v->n * sizeof *drift->balance);
     memset(change->other, 0, (size_t)in->v->n * sizeof *change->other);
     *change = (struct light_change){.other = change->other};
     err_t e = layout(&f, r->tmp, in->v->n);

@@ -235,8 +235,8 @@ static void white_balance_changes(void **state)
         FILE *f = fopen(tmpdir_path(path), "r");
         assert_non_null(f);
         while (fscanf(f, "%*[^\"]\"%127[^\"]\": %lf", name, &stops) == 2) {
-            const double more = mean_of_colour("balance", name, c) - //
-                                mean_of_colour("without", name, c);
+            const double was = mean_of_colour("without", name, c);
+            const double more = mean_of_colour("balance", name, c) - was;
             assert_true(fabs(stops) < 0.03 || (more > 0) == (stops > 0));
             assert_true(mean_of_colour("balance", name, 1) == mean_of_colour("without", name, 1));
             sum += stops;
