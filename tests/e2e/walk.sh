@@ -11,11 +11,11 @@ expect 2 '--walk: only in --kind park' simulate --kind yard --walk --out "$OUT/n
 expect 2 '--views: 257 is not in 2..256' simulate --kind park --walk --views 257 --out "$OUT/no"
 nothing_at "$OUT/no"
 
-# all are placed; none is held out
-succeed "${walk[@]}" --seed 3 --views 80 --out "$OUT/park"
-[ "$(ls "$OUT/park/images" | wc -l)" -eq 80 ] || fail "a walk holds views out"
+# just more than are compared all with all: all are placed; none is held out
+succeed "${walk[@]}" --seed 3 --views 68 --out "$OUT/park"
+[ "$(ls "$OUT/park/images" | wc -l)" -eq 68 ] || fail "a walk holds views out"
 succeed "${locate[@]}" --images "$OUT/park" --out "$OUT/scene"
-at_least "views that are placed" "$(number "$OUT/scene/report.json" cameras views_placed)" 79
+at_least "views that are placed" "$(number "$OUT/scene/report.json" cameras views_placed)" 67
 at_least "their confidence" "$(number "$OUT/scene/report.json" cameras confidence)" 0.5
 
 # of fewer, all centres at once are right for some only: they are grown, too; 37 to 40 are placed,
@@ -27,16 +27,16 @@ at_least "views of a short walk" "$(number "$OUT/scene/report.json" cameras view
 
 # every tenth is of another place, one is black: they are left out, and named
 mkdir "$OUT/mixed"
-succeed "${walk[@]}" --seed 8 --views 8 --out "$OUT/other"
+succeed "${walk[@]}" --seed 8 --views 6 --out "$OUT/other"
 cp "$OUT"/park/images/*.png "$OUT/mixed"
-for i in 0 1 2 3 4 5 6 7; do
+for i in 0 1 2 3 4 5; do
     cp "$OUT/other/images/train_ldr_00${i}_0.png" "$OUT/mixed/train_ldr_0${i}5_0.png"
 done
 "$BIN/make_flat" "$OUT/mixed/train_ldr_037_0.png" 256 0 || exit 1
 cp "$OUT/park/exposure.json" "$OUT/mixed"
 succeed "${locate[@]}" --images "$OUT/mixed" --out "$OUT/most"
-at_least "views that are placed" "$(number "$OUT/most/report.json" cameras views_placed)" 70
-[ "$(number "$OUT/most/report.json" cameras views_placed)" -le 71 ] ||
+at_least "views that are placed" "$(number "$OUT/most/report.json" cameras views_placed)" 60
+[ "$(number "$OUT/most/report.json" cameras views_placed)" -le 61 ] ||
     fail "views of another place are placed"
 grep -q 'train_ldr_037_0.png is left out: it is black all over' "$OUT/most/report.json" ||
     fail "nothing is said of a black photograph"

@@ -8,6 +8,7 @@
 
 #include "core/base/cpu.h"
 #include "tests/unit/small_model.h"
+#include "tests/unit/some_of.h"
 
 #include <float.h>
 #include <math.h>
@@ -308,7 +309,8 @@ static bool run_or_refuse(void)
     return false;
 }
 
-/* Each product, or each plain tensor, set to one value in turn. Returns how many of them fail. */
+/* Each product, or each plain tensor, set to one value in turn. Returns how many of them fail;
+ * sanitizers see every fourth, which is taken for four. */
 static int count_failures(bool products, enum precision precision, float value)
 {
     static struct names x;
@@ -319,10 +321,10 @@ static int count_failures(bool products, enum precision precision, float value)
     assert_true(x.n > 100);
     change.how = SET;
     change.value = value;
-    for (int i = 0; i < x.n; i++) {
+    for (int i = 0; i < x.n; i += some_of(4)) {
         change.part = x.name[i];
         open_world(precision, 2, 28);
-        refused += run_or_refuse();
+        refused += run_or_refuse() ? some_of(4) : 0;
         close_world();
     }
     change.part = NULL;
