@@ -2,6 +2,7 @@
 
 #include "core/base/num.h"
 #include "core/photo/undistort.h"
+#include "drivers/format/exiftimes.h"
 #include "drivers/format/exposures.h"
 #include "drivers/format/img.h"
 #include "drivers/format/imgsize.h"
@@ -37,6 +38,16 @@ static bool has_prefix(const char *name, const char *prefix)
     return strncmp(name, prefix, strlen(prefix)) == 0;
 }
 
+/* What the last note says, unless another does. */
+static void keep_note(struct imageset *set)
+{
+    const char *note = set->notes[set->n_notes];
+    for (int i = 0; i < set->n_notes; i++)
+        if (strcmp(note, set->notes[i]) == 0)
+            return;
+    set->n_notes++;
+}
+
 /* Sentence "N files are not read (names): why", once. */
 static void add_note(const struct namelist *l, const char *why, struct imageset *set)
 {
@@ -46,10 +57,7 @@ static void add_note(const struct namelist *l, const char *why, struct imageset 
     char *note = set->notes[set->n_notes];
     snprintf(note, sizeof set->notes[0], "%d file%s not read (%s): %s", l->n,
              l->n > 1 ? "s are" : " is", namelist_text(l, text, sizeof text), why);
-    for (int i = 0; i < set->n_notes; i++)
-        if (strcmp(note, set->notes[i]) == 0)
-            return;
-    set->n_notes++;
+    keep_note(set);
 }
 
 static const char only_png_jpeg[] =
@@ -208,65 +216,6 @@ static err_t times_from_file(const char *path, struct imageset *set)
     return OK;
 }
 
-#define WRITE_TIMES                                                                                \
-    "write exposure.json beside the pictures: {\"NAME\": seconds x ISO / f-number^2, ...} "        \
-    "or {\"*\": 1} for all"
-
-/* A tag that only some files have makes the exposures incomparable. */
-static err_t check_tag(const char *tag, bool may_lack, const bool *has, struct capture *c)
-{
-    char with_text[100], without_text[100];
-    struct namelist with = {0}, without = {0};
-    for (int i = 0; i < c->n; i++)
-        if (c->shots[i].exposure > 0)
-            namelist_add(c->shots[i].name, has[i] ? &with : &without);
-    if (with.n == 0 || without.n == 0)
-        return OK;
-    for (int i = 0; i < c->n && may_lack; i++)
-        if (!has[i])
-            c->shots[i].exposure = 0;
-    if (may_lack)
-        return OK;
-    return err_fail(
-        ERR_FORMAT,
-        "EXIF of %s lacks %s, that of %s has it: their exposures cannot be compared; " WRITE_TIMES,
-        namelist_text(&without, without_text, sizeof without_text), tag,
-        namelist_text(&with, with_text, sizeof with_text));
-}
-
-/* has_iso, has_f: scratch for all pictures. */
-static err_t read_exif(const struct imageset_request *rq, bool *has_iso, bool *has_f,
-                       struct imageset *set)
-{
-    struct capture *c = &set->capture;
-    for (int i = 0; i < c->n; i++) {
-        struct shot *s = &c->shots[i];
-        struct img_exif x;
-        char path[FILE_PATH_CAP];
-        err_t e = file_join(set->dir, s->name, path);
-        if (!e)
-            e = pixels_exif(path, &x);
-        if (e && e != ERR_FORMAT && e != ERR_UNSUPPORTED)
-            return e;
-        s->exposure = e ? 0 : img_exif_exposure(&x); // no such data: counted by check_times
-        has_iso[i] = !e && x.iso > 0;
-        has_f[i] = !e && x.f_number > 0;
-    }
-    err_t e = check_tag("the f-number", rq->may_lack_times, has_f, c);
-    return e ? e : check_tag("the ISO value", rq->may_lack_times, has_iso, c);
-}
-
-static err_t times_from_exif(const struct imageset_request *rq, struct imageset *set)
-{
-    const size_t n = (size_t)set->capture.n;
-    bool *has = calloc(n + 1, 2 * sizeof *has);
-    if (!has)
-        return err_fail(ERR_NOMEM, "%s: no memory for %d pictures", set->dir, set->capture.n);
-    err_t e = read_exif(rq, has, has + n, set);
-    free(has);
-    return e;
-}
-
 static err_t check_times(const char *source, const struct capture *c)
 {
     char text[128];
@@ -278,10 +227,21 @@ static err_t check_times(const char *source, const struct capture *c)
         return OK;
     namelist_text(&lacking, text, sizeof text);
     if (!source)
-        return err_fail(ERR_FORMAT, "EXIF has no exposure for %s, of %d pictures: " WRITE_TIMES,
+        return err_fail(ERR_FORMAT, "EXIF has no exposure for %s, of %d pictures: " EXIFTIMES_WRITE,
                         text, c->n);
     return err_fail(ERR_FORMAT, "%s: no exposure for %s, of %d pictures: add one for each", source,
                     text, c->n);
+}
+
+/* Photographs whose data a program removed, frames of a film. */
+static void assume_times(struct imageset *set)
+{
+    if (!exiftimes_assume(&set->capture) || set->n_notes == IMAGESET_NOTES)
+        return;
+    snprintf(set->notes[set->n_notes], sizeof set->notes[0],
+             "no picture has an exposure in its EXIF: all are taken for photographs of one "
+             "exposure; if they are not, " EXIFTIMES_WRITE);
+    keep_note(set);
 }
 
 static err_t get_times(const struct imageset_request *rq, struct imageset *set)
@@ -301,8 +261,13 @@ static err_t get_times(const struct imageset_request *rq, struct imageset *set)
         e = layout_times(set->dir, rq->no_cameras ? NULL : rq->rig, &set->capture, &found);
     if (e || found)
         return e;
-    e = source ? times_from_file(source, set) : times_from_exif(rq, set);
-    return e || rq->may_lack_times ? e : check_times(source, &set->capture);
+    e = source ? times_from_file(source, set)
+               : exiftimes_read(set->dir, rq->may_lack_times, &set->capture);
+    if (e || rq->may_lack_times)
+        return e;
+    if (!source)
+        assume_times(set);
+    return check_times(source, &set->capture);
 }
 
 static int by_time(const void *a, const void *b)

@@ -5,7 +5,8 @@
  * case, not hidden); where it has none of these *.heic, *.heif; else *.dng, *.cr2, *.nef, *.arw;
  * else *.exr; in the order of their names. exposure.json, protocol.json and sparse/0 are
  * looked for beside the pictures, then one folder up; with no exposure.json the exposures come from
- * the pictures' EXIF, where all must have the same tags. A folder with names that begin with
+ * the pictures' EXIF, where all must have the same tags; where none has any, and names tell of no
+ * brackets, all are taken to have one, and a note says so. A folder with names that begin with
  * "train" has the released layout: "train" pictures are inputs, "test" pictures are held out, and
  * train_ldr_000_2.png is exposure 2 of view train_ldr_000. In any other folder every picture is a
  * view of its own and an input. Other layouts with brackets are in layout.h; cameras may be in
@@ -63,17 +64,17 @@ struct imageset {
     struct capture capture;     // shots malloc'd; image.px is NULL until imageset_load
     int n_unplaced;             // pictures that some_cameras left out
     int n_notes;
-    char notes[IMAGESET_NOTES]
-              [240]; // sentences about files that look like pictures and are not read
+    char notes[IMAGESET_NOTES][240]; // sentences: files that look like pictures and are not read,
+                                     // exposures that are taken for one
 };
 
 /* List everything but the pixels: names, exposures, cameras, and image.w and image.h from the
  * headers of the files (channels 3), so that memory can be planned before anything is decoded.
  * Photographs through lenses that distort are decoded as the pictures of the pinhole camera that
  * undistort_camera chooses; image and cam describe that picture. Contradictions are refused: a
- * picture without exposure, EXIF with f-number or ISO in some files only, linear values beside
- * display values (pixels.h), a rig that lacks a view or has another aspect (cameras_find), a
- * protocol that names a missing file.
+ * picture without exposure where others have one, EXIF with f-number or ISO in some files only,
+ * linear values beside display values (pixels.h), a rig that lacks a view or has another aspect
+ * (cameras_find), a protocol that names a missing file.
  * own:  imageset_free.
  * err:  ERR_ARG (request, too few views, two folders of one name), ERR_IO, ERR_FORMAT (also: above
  *       CAMERAS_MAX pictures), ERR_UNSUPPORTED (rig), ERR_NOMEM. On error *out is zeroed. */

@@ -94,6 +94,13 @@ cp tests/data/img/rgb.jpg "$OUT/phone/images/a.jpg"
 cp tests/data/img/progressive.jpg "$OUT/phone/images/b.jpg"
 refused 1 'EXIF of b.jpg lacks the f-number, that of a.jpg has it: .*write exposure.json' \
     --images "$OUT/phone"
+mkdir "$OUT/plain"
+for i in 0 1 2; do
+    cp "$OUT/mixed/images/train_ldr_00${i}_0.png" "$OUT/plain/frame$i.png"
+done
+succeed reconstruct --images "$OUT/plain" --size 112 --refine 0 --out "$OUT/plain_scene"
+grep -q 'no picture has an exposure in its EXIF: all are taken' "$OUT/plain_scene/report.json" ||
+    fail "nobody says that exposures are assumed"
 copy unexposed
 rm "$set/exposure.json"
 refused 1 "EXIF has no exposure for train_ldr_000_0.png, .* and 6 others, of 9" --images "$set"
