@@ -13,7 +13,8 @@ enum {
 
 /* Unplace views with too few inliers, views that contradict the points of others, and all but the
  * largest set of views whose distances depend on each other: one that another group of views shares
- * points of one view only with may have any size beside it, however well both fit.
+ * points of one view only with, or only far ones, may have any size beside it, however well both
+ * fit.
  * g:    relative poses, for other poses of a view; room for them, zeroed, if there are none
  * gate: expected errors, of what is in
  * err:  ERR_NOMEM (r->tmp, see connectivity_plan), ERR_CANCELLED. */
