@@ -39,6 +39,8 @@ err_t outliers_layout(struct outliers *o, struct arena *a, const struct views *v
     if (!e)
         e = arena_alloc(a, n * cells, 1, &o->skip);
     if (!e)
+        e = arena_alloc(a, n * cells, 1, &o->former);
+    if (!e)
         e = arena_alloc(a, cells, 1, &o->patch);
     if (!e)
         e = arena_alloc(a, (size_t)v->n * cells, sizeof *o->depth, &o->depth);
@@ -264,12 +266,14 @@ bool outliers_due(int step, int steps)
 }
 
 err_t outliers_judge(const struct run *r, struct outliers *o, const struct raster *rs,
-                     const struct scene *s)
+                     const struct scene *s, bool *changed)
 {
     const int n = photos_of(o);
+    const size_t cells = (size_t)n * outliers_cells(o);
     err_t e = draw_depths(r, o, rs, s);
     if (e)
         return e;
+    memcpy(o->former, o->skip, cells);
     for (int k = 0; k < n; k++)
         mark_hits(o, k);
     for (int k = 0; k < n; k++)
@@ -278,7 +282,9 @@ err_t outliers_judge(const struct run *r, struct outliers *o, const struct raste
     const float usual = num_median(o->sorted, (size_t)n);
     for (int k = 0; k < n; k++)
         leave_out_patches(o, k, usual);
-    return team_copy(r->team, o->skip, (size_t)n * outliers_cells(o));
+    e = team_copy(r->team, o->skip, cells);
+    *changed = memcmp(o->former, o->skip, cells) != 0;
+    return e;
 }
 
 const uint8_t *outliers_skip(const struct outliers *o, int k)

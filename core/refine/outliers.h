@@ -26,6 +26,7 @@ struct outliers {
     uint8_t *hit;  // workspace: more than the photograph as a whole is off
     uint8_t *skip; // 1: left out
     /* Workspace. */
+    uint8_t *former;         // (photographs, down, across) skip before a judgement
     uint8_t *patch;          // (down, across)
     float *depth;            // (n, down, across) of each place; 0: hardly covered
     float *alpha, *radiance; // (down, across), (3, down, across)
@@ -48,11 +49,12 @@ MUST_USE err_t outliers_see(struct team *t, struct outliers *o, int k,
 /* Whether step `step` of `steps` is one after which photographs are judged. */
 bool outliers_due(int step, int steps);
 
-/* What is left out from now on. rs: planned for s and its views; each rank of r->team draws all of
- * it, and the first one decides, since others may differ in the last digit.
+/* What is left out from now on; *changed: it is not what was before. rs: planned for s and its
+ * views; each rank of r->team draws all of it, and the first one decides, since others may differ
+ * in the last digit.
  * err:  those of raster_run and team_copy. */
 MUST_USE err_t outliers_judge(const struct run *r, struct outliers *o, const struct raster *rs,
-                              const struct scene *s);
+                              const struct scene *s, bool *changed);
 
 /* Share of the cells of photograph k that is left out. */
 float outliers_share(const struct outliers *o, int k);

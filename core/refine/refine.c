@@ -299,6 +299,37 @@ static void split_splats(struct refine *f)
     density_sort(&f->d);
 }
 
+static err_t measure_best(struct refine *f)
+{
+    struct best *b = &f->best;
+    struct scene *now = f->s, then = *now;
+    then.g = b->g;
+    then.tone = b->tone;
+    then.cams = b->cams;
+    f->s = &then;
+    err_t e = b->step > 0 ? refine_step_measure(f, &b->db) : OK;
+    f->s = now;
+    return e;
+}
+
+/* Errors are not comparable with those from before something else was left out. */
+static err_t judge_outliers(struct refine *f)
+{
+    bool changed;
+    float db;
+    err_t e = outliers_judge(f->r, &f->outliers, &f->raster, f->s, &changed);
+    if (e || !changed)
+        return e;
+    e = measure_best(f);
+    if (!e)
+        e = refine_step_measure(f, &db);
+    if (e)
+        return e;
+    f->split_db = db;
+    f->best_db = f->level == 0 ? db : f->best_db;
+    return OK;
+}
+
 /* Before the scene changes: is it the best? Costs a picture of each view, so seldom with many. */
 static err_t compare_best(struct refine *f)
 {
@@ -418,7 +449,7 @@ static err_t take_step(struct refine *f)
     if (!e)
         e = update_bands(f);
     if (!e && outliers_due(f->step, f->steps))
-        e = outliers_judge(f->r, &f->outliers, &f->raster, f->s);
+        e = judge_outliers(f);
     return e;
 }
 

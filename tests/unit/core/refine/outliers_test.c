@@ -31,8 +31,12 @@ static int judged(int k)
 {
     struct scene s = W.start;
     int n = 0;
+    bool changed;
+    uint8_t before[V * CELLS];
     s.g = W.truth.g;
-    assert_int_equal(outliers_judge(&W.r, &O, &rs, &s), OK);
+    memcpy(before, O.skip, sizeof before);
+    assert_int_equal(outliers_judge(&W.r, &O, &rs, &s, &changed), OK);
+    assert_int_equal(changed, memcmp(before, O.skip, sizeof before) != 0);
     for (int i = 0; i < CELLS; i++)
         n += O.skip[k * CELLS + i];
     assert_true((outliers_skip(&O, k) != NULL) == (n > 0));
