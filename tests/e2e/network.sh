@@ -41,8 +41,9 @@ expect 2 '--scene is finished' eval --data "$OUT/good" --scene x --model "$OUT/h
 expect 2 '--what network needs --model' bench --what network
 
 # what is missing, and what is too much
-mkdir "$OUT/one"
+mkdir "$OUT/one" "$OUT/bare"
 cp "$OUT/inputs/images/000_view0.png" "$OUT/one"
+cp "$OUT"/inputs/images/*.png "$OUT/bare"
 refused 1 '1 view, a scene needs at least 2' --images "$OUT/one" \
     --exposures "$OUT/inputs/exposure.json" --model "$OUT/hdr.hdrig"
 refused 3 'needs [0-9]+ MB, --max-memory is 64 MB$' "${images[@]}" --model "$OUT/hdr.hdrig" \
