@@ -337,6 +337,15 @@ void response_tabulate(const struct tonemap *tone, struct response_table *out)
     }
 }
 
+void response_bounds(const struct response_table *t, int colour, float x, float weight,
+                     float out[2])
+{
+    enum { DARK = 8, BRIGHT = 247 }; // display values that black and saturation do not reach
+    const bool blind = weight < 0.05f, dark = x < t->x[colour][128];
+    out[0] = !blind ? x : dark ? -INFINITY : fminf(x, t->x[colour][BRIGHT]);
+    out[1] = !blind ? x : dark ? fmaxf(x, t->x[colour][DARK]) : INFINITY;
+}
+
 /* Mean display value of x over exposures end[0] .. end[1] stops away. */
 static double spread_display(const struct tonemap *tone, int colour, double x, const float end[2])
 {

@@ -70,6 +70,12 @@ void response_spread(const struct tonemap *tone, float lo, float hi, struct tone
 /* Inverse curve and reliability for the 256 display values. */
 void response_tabulate(const struct tonemap *tone, struct response_table *out);
 
+/* What log2 radiance x (as in the table), read with reliability `weight`, says: where that is below
+ * 0.05, the picture is black or saturated and only bounds it.
+ * out:  least and most; -INFINITY or INFINITY where it says nothing. */
+void response_bounds(const struct response_table *t, int colour, float x, float weight,
+                     float out[2]);
+
 /* Geometric mean of the radiance that the photographs tell of, per colour: holes in a scene are
  * less wrong in it than in black. */
 void response_mean(const struct views *v, const struct tonemap *tone, float out[3]);

@@ -2,8 +2,9 @@
  * 2. Each pixel of a region is looked up in the same direction in every other view: the same
  *    radiance there speaks for infinity, another one against it, and a surface that stereo knows
  *    there says nothing.
- * 3. A region is sky if nearly all that speaks speaks for infinity, if it is bright, and if it
- *    reaches the border of the picture; then, if it looks as the sky of any view does.
+ * 3. A region is sky if nearly all that speaks speaks for infinity, if it is bright or is a black
+ *    backdrop, and if it reaches the border of the picture; then, if it looks as the sky of any view
+ *    does.
  * 4. It grows over pixels that look like it, up to the silhouettes before it. */
 #include "core/stereo/far.h"
 
@@ -19,7 +20,9 @@ enum {
     RADIUS = 2,         // px, of the surroundings
     REGIONS_MAX = 1024, // of one view
     GROWN = 4,          // px
-    BLOWN = 235         // display value of 255 above which the response is hardly known
+    BLOWN = 235,        // display value of 255 above which the response is hardly known
+    BLACK = 16,         // and below which there is noise
+    MOST = 9            // votes for one against, of what is as black as a black backdrop
 };
 
 static const float SMOOTH = 0.12f; // stops, standard deviation of luminance in the surroundings
@@ -29,15 +32,16 @@ static const float TELLS = 1;      // stop, between saturation and what a pictur
 static const float ELSE = 0.9f;    // quantile of that
 static const float GROWS = 0.3f;   // stops, the next pixel of a region
 static const float LEAST = 0.03f;  // share of the picture, of a region that needs no other
+static const float VAST = 0.15f;   // of a black one, which may be a shadow
 static const float AGREE = 0.97f;  // share of the votes
 static const float BRIGHT = 0.5f;  // quantile of the rest of the picture
 static const float ASKED = 0.25f;  // votes per pixel
 
-/* log2 radiance, and which colours are saturated: at least as bright as that. */
+/* log2 radiance, and which colours are saturated or black: at least or at most as bright as that. */
 struct colour {
     float log2[3];
     float light; // log2 luminance
-    uint8_t blown;
+    uint8_t blown, black;
     bool hidden; // masked
 };
 
@@ -45,8 +49,9 @@ struct region {
     int area, yes, weak, no; // votes: for, for if it is as bright as it may be, against
     bool border, sky;
     double light;       // sum
-    double known[3][2]; // sum of log2 radiance and number of pixels that are not saturated
+    double known[3][2]; // sum of log2 radiance and number of pixels of which it is known
     int blown;          // pixels with a saturated colour
+    bool black;         // all its pixels are
 };
 
 struct far {
@@ -62,7 +67,10 @@ struct far {
     struct region *region; // (n, REGIONS_MAX)
     int *n_regions;        // (n)
     bool *telling;         // (n) what is saturated there is brighter than most
+    bool *black_tells;     // (n) what is black there is darker than most, and in other views, too
+    float darkest;         // log2 radiance below which the most sensitive view is black
     struct region sky;     // all that is sky
+    bool black;            // some of it is a black backdrop
     size_t most;           // pixels of a map
 };
 
@@ -73,6 +81,7 @@ static struct colour mean_colour(const struct far *s, const uint8_t *rgb, int w,
     const int n = s->d->scale * s->d->scale;
     struct colour out = {.blown = 0};
     float all = 0;
+    const float dark = log2f(s->linear[1][BLACK]) - shift;
     for (int c = 0; c < 3; c++) {
         float sum = 0, bright = 0;
         for (int k = 0; k < n; k++) {
@@ -85,9 +94,12 @@ static struct colour mean_colour(const struct far *s, const uint8_t *rgb, int w,
         if (bright > (float)(BLOWN * n)) {
             out.blown |= (uint8_t)(1 << c);
             out.log2[c] = log2f(s->linear[c][BLOWN]) - shift;
+        } else if (bright < (float)(BLACK * n)) {
+            out.black |= (uint8_t)(1 << c);
+            out.log2[c] = log2f(s->linear[c][BLACK]) - shift;
         }
     }
-    out.light = log2f(all / (float)(3 * n) + 1e-9f) - shift;
+    out.light = fmaxf(log2f(all / (float)(3 * n) + 1e-9f) - shift, dark);
     return out;
 }
 
@@ -105,11 +117,15 @@ static err_t read_view(void *ctx, int i, int worker)
         struct colour *to = &s->colour[map->at + (size_t)k];
         *to = mean_colour(s, views_rgb(s->v, i) + 3 * at, full, shift);
         to->hidden = sweep_hides(s->d, s->v, i, k);
-        if (to->blown != 7 && !to->hidden)
+        if (to->blown != 7 && to->black != 7 && !to->hidden)
             sorted[n++] = to->light;
     }
-    s->telling[i] = (float)n > LEAST * (float)extent_pixels(map) &&
-                    log2f(s->linear[1][BLOWN]) - shift > num_quantile(sorted, n, ELSE) + TELLS;
+    const bool shows = (float)n > LEAST * (float)extent_pixels(map);
+    s->telling[i] =
+        shows && log2f(s->linear[1][BLOWN]) - shift > num_quantile(sorted, n, ELSE) + TELLS;
+    const float dark = log2f(s->linear[1][BLACK]) - shift;
+    s->black_tells[i] =
+        shows && dark < s->darkest + TELLS && dark < num_quantile(sorted, n, BRIGHT) - TELLS;
     return run_check(s->run, "far");
 }
 
@@ -118,7 +134,8 @@ static bool is_alike(const struct colour *a, const struct colour *b)
 {
     for (int c = 0; c < 3; c++) {
         const float more = a->log2[c] - b->log2[c];
-        if ((more > ALIKE && !(b->blown >> c & 1)) || (more < -ALIKE && !(a->blown >> c & 1)))
+        if ((more > ALIKE && !((b->blown | a->black) >> c & 1)) ||
+            (more < -ALIKE && !((a->blown | b->black) >> c & 1)))
             return false;
     }
     return true;
@@ -164,6 +181,23 @@ static bool same_direction(const struct far *s, const int ij[2], const float r[9
     return true;
 }
 
+/* The vote of pixel `mine` of view ij[0] on pixel `at` of view ij[1], which is in its direction: 1
+ * for infinity, 0 weakly so, -1 against it, -2 none. */
+static int vote(const struct far *s, const int ij[2], const struct colour *mine, size_t at)
+{
+    const struct colour *other = &s->colour[at];
+    const bool black = mine->black == 7;
+    if (other->hidden)
+        return -2;
+    if (black ? other->black < 7 && other->light > s->darkest + ALIKE : !is_alike(mine, other)) {
+        const bool blind = s->d->conf[at] < SWEEP_CONF_USABLE;
+        return blind && other->light > mine->light - OCCLUDER ? -1 : -2;
+    }
+    if (black)
+        return s->black_tells[ij[0]] || s->black_tells[ij[1]];
+    return (mine->blown < 7 || s->telling[ij[0]]) && (other->blown < 7 || s->telling[ij[1]]);
+}
+
 static void count_agreement(const struct far *s, int i, struct region *regions)
 {
     const struct extent *map = &s->d->extent[i];
@@ -183,16 +217,10 @@ static void count_agreement(const struct far *s, int i, struct region *regions)
                                                      (const int[2]){k % map->w, k / map->w}, &at))
                 continue;
             struct region *region = &regions[s->label[own]];
-            const struct colour *mine = &s->colour[own], *other = &s->colour[at];
-            if (other->hidden)
-                continue;
-            if (!is_alike(mine, other))
-                region->no +=
-                    s->d->conf[at] < SWEEP_CONF_USABLE && other->light > mine->light - OCCLUDER;
-            else if ((mine->blown < 7 || s->telling[i]) && (other->blown < 7 || s->telling[j]))
-                region->yes++;
-            else
-                region->weak++;
+            const int v = vote(s, (const int[2]){i, j}, &s->colour[own], at);
+            region->yes += v == 1;
+            region->weak += v == 0;
+            region->no += v == -1;
         }
     }
 }
@@ -204,8 +232,9 @@ static void add_pixel(struct region *r, const struct colour *p)
     r->area++;
     r->light += (double)p->light;
     r->blown += p->blown != 0;
+    r->black = p->black == 7;
     for (int c = 0; c < 3; c++) {
-        if (p->blown >> c & 1)
+        if ((p->blown | p->black) >> c & 1)
             continue;
         r->known[c][0] += (double)p->log2[c];
         r->known[c][1]++;
@@ -219,12 +248,14 @@ static int neighbour_of(const struct extent *map, int at, int k)
     return x < 0 || y < 0 || x >= map->w || y >= map->h ? -1 : y * map->w + x;
 }
 
-/* The region of smooth pixels around `first`; label -2: smooth, not yet part of one. */
+/* The region of smooth pixels around `first`, all black or none; label -2, -3: smooth, black, not yet
+ * part of one. */
 static void flood_region(const struct far *s, int i, int first, int32_t *stack, int name)
 {
     const struct extent *map = &s->d->extent[i];
     int32_t *label = s->label + map->at;
     struct region *r = &s->region[(size_t)i * REGIONS_MAX + (size_t)name];
+    const int32_t kind = label[first];
     int n = 0;
     *r = (struct region){0};
     stack[n++] = first;
@@ -235,7 +266,7 @@ static void flood_region(const struct far *s, int i, int first, int32_t *stack, 
         for (int k = 0; k < 4; k++) {
             const int next = neighbour_of(map, at, k);
             r->border |= next < 0;
-            if (next < 0 || label[next] != -2)
+            if (next < 0 || label[next] != kind)
                 continue;
             label[next] = name;
             stack[n++] = next;
@@ -250,7 +281,7 @@ static float median_brightness(const struct far *s, int i, float *sorted)
     const struct extent *map = &s->d->extent[i];
     size_t n = 0;
     for (size_t k = map->at; k < map->at + extent_pixels(map); k++)
-        if (s->label[k] < 0 && !s->colour[k].hidden)
+        if ((s->label[k] < 0 || s->colour[k].black == 7) && !s->colour[k].hidden)
             sorted[n++] = s->colour[k].light;
     return (float)n > LEAST * (float)extent_pixels(map) ? num_quantile(sorted, n, BRIGHT)
                                                         : INFINITY;
@@ -273,16 +304,17 @@ static err_t find_regions(void *ctx, int i, int worker)
     const int pixels = map->w * map->h;
     int32_t *label = s->label + map->at;
     struct region *regions = s->region + (size_t)i * REGIONS_MAX;
-    for (int k = 0; k < pixels; k++)
-        label[k] = !s->colour[map->at + (size_t)k].hidden &&
-                           is_smooth(s->colour + map->at, map, k % map->w, k / map->w)
-                       ? -2
-                       : -1;
+    for (int k = 0; k < pixels; k++) {
+        const struct colour *c = &s->colour[map->at + (size_t)k];
+        label[k] = -1;
+        if (!c->hidden && is_smooth(s->colour + map->at, map, k % map->w, k / map->w))
+            label[k] = c->black == 7 ? -3 : -2;
+    }
     s->n_regions[i] = 0;
     for (int k = 0; k < pixels; k++) {
-        if (label[k] == -2 && s->n_regions[i] == REGIONS_MAX)
+        if (label[k] < -1 && s->n_regions[i] == REGIONS_MAX)
             label[k] = -1;
-        if (label[k] == -2)
+        if (label[k] < -1)
             flood_region(s, i, k, s->stack + (size_t)worker * s->most, s->n_regions[i]++);
     }
     count_agreement(s, i, regions);
@@ -290,7 +322,8 @@ static err_t find_regions(void *ctx, int i, int worker)
     for (int k = 0; k < s->n_regions[i]; k++) {
         struct region *r = &regions[k];
         r->sky = is_large(s, r, i) && speaks_for_infinity(r, r->yes) &&
-                 (2 * r->blown > r->area || (float)(r->light / r->area) >= bright);
+                 (2 * r->blown > r->area || (float)(r->light / r->area) >= bright ||
+                  (r->black && (float)r->area > VAST * (float)pixels));
     }
     return run_check(s->run, "far");
 }
@@ -319,15 +352,20 @@ static void extend_sky(struct far *s)
         const struct region *r = &s->region[k];
         if (k % REGIONS_MAX >= s->n_regions[k / REGIONS_MAX] || !r->sky)
             continue;
+        s->black |= r->black;
         for (int c = 0; c < 6; c++)
             s->sky.known[c / 2][c % 2] += r->known[c / 2][c % 2];
     }
     for (int k = 0; k < n; k++) {
         struct region *r = &s->region[k];
-        if (k % REGIONS_MAX < s->n_regions[k / REGIONS_MAX] && !r->sky)
-            r->sky = resembles_sky(s, r, k / REGIONS_MAX) &&
-                     speaks_for_infinity(r, r->yes + r->weak) &&
-                     (2 * r->blown < r->area || is_large(s, r, k / REGIONS_MAX));
+        const int view = k / REGIONS_MAX;
+        if (k % REGIONS_MAX >= s->n_regions[view] || r->sky)
+            continue;
+        if (r->black)
+            r->sky = s->black && is_large(s, r, view) && r->yes + r->weak >= MOST * r->no;
+        else
+            r->sky = resembles_sky(s, r, view) && speaks_for_infinity(r, r->yes + r->weak) &&
+                     (2 * r->blown < r->area || is_large(s, r, view));
     }
 }
 
@@ -376,7 +414,7 @@ static err_t place_view(void *ctx, int i, int worker)
         const float most =
             shell_depth(&s->shell, &s->v->cams[i], ((float)(k % map->w) + 0.5f) * scale,
                         ((float)(k / map->w) + 0.5f) * scale);
-        s->d->far[at] = label[k] == 0;
+        s->d->far[at] = label[k] != 0 ? 0 : s->colour[at].black == 7 ? FAR_BLACK : FAR_SKY;
         s->d->depth[at] = s->d->far[at] ? most : fminf(s->d->depth[at], SHELL_INSIDE * most);
         s->d->conf[at] = s->d->far[at] ? FAR_CONF : s->d->conf[at];
     }
@@ -405,6 +443,8 @@ static err_t layout(struct far *s, struct arena *a, const struct extent *maps, i
         e = arena_alloc(a, (size_t)n * REGIONS_MAX, sizeof *s->region, &s->region);
     if (!e)
         e = arena_alloc(a, (size_t)n, sizeof *s->telling, &s->telling);
+    if (!e)
+        e = arena_alloc(a, (size_t)n, sizeof *s->black_tells, &s->black_tells);
     return e ? e : arena_alloc(a, (size_t)n, sizeof *s->n_regions, &s->n_regions);
 }
 
@@ -433,6 +473,9 @@ err_t far_run(const struct run *r, const struct views *v, const struct tonemap *
         response_tabulate(tone, &table);
         for (int k = 0; k < 3 * 256; k++)
             s.linear[k / 256][k % 256] = exp2f(table.x[k / 256][k % 256]);
+        s.darkest = INFINITY;
+        for (int i = 0; i < v->n; i++)
+            s.darkest = fminf(s.darkest, log2f(s.linear[1][BLACK]) - (v->log2t[i] - v->mid_log2t));
         e = pool_for(r->pool, v->n, read_view, &s);
     }
     if (!e)

@@ -9,10 +9,12 @@
 
 #define FAR_CONF 0.5f // of a pixel that sees the shell: usable, not measured
 
+enum { FAR_SKY = 1, FAR_BLACK = 2 }; // a black backdrop
+
 /* Put the pixels of sky on the shell (core/base/shell.h): regions that are smooth, at least as
- * bright as the upper quarter of the rest of the picture, reach its border or are as bright as one
- * that does, and look the same in the same direction in all views, but where a nearer surface
- * hides them.
+ * bright as the upper half of the rest of the picture, or black where much of it is, reach its
+ * border or are as bright as one that does, and look the same in the same direction in all views,
+ * but where a nearer surface hides them.
  * d:    from sweep_run for these views. d->far is made, in r->keep; such pixels get FAR_CONF, and
  *       all others are put well inside the shell. Cameras in one place: nothing is done.
  * err:  ERR_NOMEM (see far_plan), ERR_CANCELLED. Then *d may be partly changed. */

@@ -255,11 +255,13 @@ static float confidence_of(const struct fill *f, int view, const float uvz[3], c
     return answer[FILL_SPREAD] < SURE && !is_measured(f, view, uvz) ? SWEEP_CONF_USABLE : GUESSED;
 }
 
-/* Whether a pixel sees the shell: what far_run said holds unless the branch is sure of the
- * opposite. */
-static bool sees_shell(bool was, const float *answer)
+/* What a pixel sees of the shell: what far_run said holds unless the branch is sure of the opposite.
+ * It knows skies, not black backdrops. */
+static uint8_t sees_shell(uint8_t was, const float *answer)
 {
-    return answer[FILL_IS_FAR] > (was ? NOT_FAR : IS_FAR);
+    if (was == FAR_BLACK)
+        return was;
+    return answer[FILL_IS_FAR] > (was ? NOT_FAR : IS_FAR) ? FAR_SKY : 0;
 }
 
 /* Whether stereo has no depth here, or one that the branch does not believe. */
@@ -278,7 +280,7 @@ size_t fill_take(struct fill *f, int view, const float *answer, struct depthmaps
     guess_smooth(&f->guess, d, view, f->rho);
     for (size_t i = 0; i < extent_pixels(map); i++, answer += FILL_ANSWER) {
         const size_t at = map->at + i;
-        const bool was = is_far(d, at), far = d->far && sees_shell(was, answer);
+        const uint8_t was = d->far ? d->far[at] : 0, far = d->far ? sees_shell(was, answer) : 0;
         if (far == was && (far || !is_lost(d->conf[at], answer)))
             continue;
         float uvz[3] = {0, 0, 1.0f / (f->rho[i] * exp2f(limit(answer[FILL_RESIDUAL])))};

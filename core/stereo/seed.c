@@ -43,6 +43,10 @@ static const float THICKNESS = 0.15f; // standard deviation across the surface p
 static const float TILT_MIN = 0.25f;  // cosine of the steepest surface
 static const float CLEAR = 4.0f;      // standard deviations around a camera where nothing is,
 static const float CLEAR_MOST = 0.2f; // at most, of the depth
+static const float OPEN = 0.5f;       // share of the depth of the nearest surface that a view sees
+static const float NEAREST = 0.05f;   // quantile of depths that counts as that
+static const float LN2 = 0.69314718f;
+static const float ALIKE = 0.7f; // of ln radiance, two views of one surface
 
 struct frame {
     float r[9], t[3]; // world to camera
@@ -59,14 +63,16 @@ struct seed {
     int max;
     float loss; // factor on the thresholds: > 1 gives up detail
     bool full;
-    float linear[3][256], weight[3][256]; // tables of the response for exposure shift 0
-    struct frame *frame;                  // (n)
-    int *order;                           // (n) views, best first
-    float *score;                         // (n)
-    uint8_t *mark;                        // (maps)
-    float *rho;                           // (h, w) of the view in work
-    float *smooth;                        // (h, w) memory of rho in the first round
-    float *guess;                         // (maps) inverse depth in the second round
+    struct response_table table; // of the response
+    float linear[3][256];        // 2^table.x
+    struct frame *frame;         // (n)
+    float *open;                 // (n) distance from a camera where nobody guesses
+    int *order;                  // (n) views, best first
+    float *score;                // (n)
+    uint8_t *mark;               // (maps)
+    float *rho;                  // (h, w) of the view in work
+    float *smooth;               // (h, w) memory of rho in the first round
+    float *guess;                // (maps) inverse depth in the second round
     struct guess_work work;
 };
 
@@ -148,9 +154,13 @@ static float shade_of(const struct seed *s, int view, const float *at)
     return shade_r2(&s->in->views->shade[view], at[0] / (float)map->w, at[1] / (float)map->h);
 }
 
-/* Add ln radiance of the pixels under a square to sum, weighted by reliability. */
-static void add_colour(const struct seed *s, int view, const float *at, float side, float factor,
-                       float (*sum)[2])
+/* ln radiance of the pixels under a square and its reliability; and its bounds, of which one is far
+ * where the picture is black or saturated. */
+struct sight {
+    float ln[3], weight[3], least[3], most[3];
+};
+
+static struct sight look_at(const struct seed *s, int view, const float *at, float side)
 {
     int rx[3], ry[3];
     sample_range(s, at[0], side, s->in->views->extent[view].w, rx);
@@ -162,7 +172,7 @@ static void add_colour(const struct seed *s, int view, const float *at, float si
         if (views_hides_any(s->in->views, view, x, y, 1))
             continue;
         for (int c = 0; c < 3; c++) {
-            float w = s->weight[c][p[c]] + 1e-4f;
+            float w = s->table.weight[c][p[c]] + 1e-4f;
             value[c] += w * s->linear[c][p[c]];
             weight[c] += w;
         }
@@ -172,10 +182,37 @@ static void add_colour(const struct seed *s, int view, const float *at, float si
     float stops[3] = {0};
     if (v->shade)
         shade_stops(&v->shade[view].model, shade_of(s, view, at), stops);
-    for (int c = 0; c < 3 && weight[0] > 0; c++) {
-        float w = factor * weight[c] / (float)(rx[2] * ry[2]);
-        sum[c][0] += w * (logf(value[c] / weight[c] + 1e-9f) - (shift + stops[c]) * 0.69314718f);
-        sum[c][1] += w;
+    struct sight o;
+    for (int c = 0; c < 3; c++) {
+        const float mean = weight[c] > 0 ? value[c] / weight[c] : 0;
+        const float x = log2f(mean + 1e-9f), dim = shift + stops[c];
+        float range[2];
+        o.weight[c] = weight[c] / (float)(rx[2] * ry[2]);
+        response_bounds(&s->table, c, x, o.weight[c], range);
+        o.ln[c] = (x - dim) * LN2;
+        o.least[c] = (range[0] - dim) * LN2;
+        o.most[c] = (range[1] - dim) * LN2;
+    }
+    return o;
+}
+
+/* Whether one view is darker than the other may be, or brighter, because it is black or saturated. */
+static bool is_bounded(const struct sight *a, const struct sight *b)
+{
+    for (int c = 0; c < 3; c++) {
+        const bool blind = a->least[c] < a->most[c] || b->least[c] < b->most[c];
+        if (blind && (a->least[c] > b->most[c] + ALIKE || b->least[c] > a->most[c] + ALIKE))
+            return false;
+    }
+    return true;
+}
+
+/* Add ln radiance to sum, weighted by reliability. */
+static void add_colour(const struct sight *o, float factor, float (*sum)[2])
+{
+    for (int c = 0; c < 3; c++) {
+        sum[c][0] += factor * o->weight[c] * o->ln[c];
+        sum[c][1] += factor * o->weight[c];
     }
 }
 
@@ -209,9 +246,9 @@ static float block_contrast(const struct seed *s, int view, const float *at, flo
 /* ---- one splat ---- */
 
 /* Project the splat at x, `width` wide in the world, into all views; mark the pixels that it covers
- * and explains, and collect its colour. */
+ * and explains, and collect its colour, of which `own` is what its own view shows. */
 static void mark_all_views(struct seed *s, const struct patch *p, const float *x, float width,
-                           float (*sum)[2])
+                           const struct sight *own, float (*sum)[2])
 {
     for (int j = 0; j < s->in->views->n; j++) {
         const struct extent *map = &s->in->depth->extent[j];
@@ -224,8 +261,11 @@ static void mark_all_views(struct seed *s, const struct patch *p, const float *x
         const size_t middle = plane + (size_t)at[1] * (size_t)w + (size_t)at[0];
         const float *depth = s->in->depth->depth, *conf = s->in->depth->conf;
         if (j != p->view && fabsf(depth[middle] - at[2]) < SWEEP_SAME_SURFACE * at[2] &&
-            conf[middle] >= SWEEP_CONF_USABLE)
-            add_colour(s, j, at, side < p->side ? side : p->side, conf[middle], sum);
+            conf[middle] >= SWEEP_CONF_USABLE) {
+            const struct sight other = look_at(s, j, at, side < p->side ? side : p->side);
+            if (is_bounded(own, &other))
+                add_colour(&other, conf[middle], sum);
+        }
         if (side > 2.5f * p->side)
             continue; // this view is near enough to get its own splats
         int x0 = (int)(at[0] - 0.5f * side + 0.5f), x1 = (int)(at[0] + 0.5f * side + 0.5f);
@@ -332,39 +372,66 @@ static struct surface lay_out(const struct frame *f, const struct patch *p)
     return o;
 }
 
-/* Whether the camera stands in the splat. */
-static bool is_inside(const struct frame *f, const struct surface *o)
+/* Whether the camera stands in the splat, or nearer to it than `open`. */
+static bool is_inside(const struct frame *f, const struct surface *o, float open)
 {
+    const float reach = fmaxf(o->reach, open);
     float square = 0.0f;
     for (int i = 0; i < 3; i++)
         square += (o->x[i] - f->centre[i]) * (o->x[i] - f->centre[i]);
-    return square < o->reach * o->reach;
+    return square < reach * reach;
+}
+
+/* What view j says of a point of the splat: 1 it sees a surface there, -1 it sees through it, 0 it
+ * does not know. Where it guesses as well, none may guess that it is farther. */
+static int verdict_of(const struct seed *s, const struct patch *p, int j, const float *x)
+{
+    const struct extent *map = &s->in->depth->extent[j];
+    float at[3];
+    if (!project_to_map(&s->frame[j], x, map, at))
+        return 0;
+    const size_t k = map->at + (size_t)at[1] * (size_t)map->w + (size_t)at[0];
+    const float depth = s->in->depth->depth[k];
+    if (s->in->depth->conf[k] < SWEEP_CONF_USABLE)
+        return -(!p->sure && s->guess[k] * at[2] < 1.0f - 2.0f * SWEEP_SAME_SURFACE);
+    if (fabsf(depth - at[2]) < SWEEP_SAME_SURFACE * at[2])
+        return 1;
+    return -(depth > at[2] && is_seen_through(s, j, at));
+}
+
+/* Whether view j sees through a corner of a guess, which may be large there. */
+static bool is_in_the_way(const struct seed *s, const struct patch *p, int j,
+                          const struct surface *o)
+{
+    for (int k = 0; k < 4; k++) {
+        const float u = (k % 2 ? 0.5f : -0.5f) * o->width / o->cosine,
+                    v = (k / 2 ? 0.5f : -0.5f) * o->width;
+        float corner[3], x[3];
+        for (int i = 0; i < 3; i++)
+            corner[i] = u * o->axis[0][i] + v * o->axis[1][i];
+        to_world(&s->frame[p->view], corner, x);
+        for (int i = 0; i < 3; i++)
+            x[i] += o->x[i];
+        if (verdict_of(s, p, j, x) < 0)
+            return true;
+    }
+    return false;
 }
 
 /* Whether another camera stands in the splat, or other views see through it and no more of them see
  * a surface there: wrong matches of two views confirm each other, and a third one contradicts them.
- * A guess holds where they are as many; but where others guess as well, none may guess that it is
- * farther. */
+ * A guess holds where they are as many. */
 static bool is_refuted(const struct seed *s, const struct patch *p, const struct surface *o)
 {
     int seen = 0, through = 0;
     for (int j = 0; j < s->in->views->n; j++) {
-        const struct extent *map = &s->in->depth->extent[j];
-        float at[3];
         if (j == p->view)
             continue;
-        if (is_inside(&s->frame[j], o))
+        if (is_inside(&s->frame[j], o, p->sure ? 0 : s->open[j]))
             return true;
-        if (!project_to_map(&s->frame[j], o->x, map, at))
-            continue;
-        const size_t k = map->at + (size_t)at[1] * (size_t)map->w + (size_t)at[0];
-        const float depth = s->in->depth->depth[k];
-        if (s->in->depth->conf[k] < SWEEP_CONF_USABLE)
-            through += !p->sure && s->guess[k] * at[2] < 1.0f - 2.0f * SWEEP_SAME_SURFACE;
-        else if (fabsf(depth - at[2]) < SWEEP_SAME_SURFACE * at[2])
-            seen++;
-        else if (depth > at[2] && is_seen_through(s, j, at))
-            through++;
+        const int verdict = verdict_of(s, p, j, o->x);
+        seen += verdict > 0;
+        through += verdict < 0 || (!p->sure && verdict == 0 && is_in_the_way(s, p, j, o));
     }
     return seen < through || (p->sure && seen == through && through > 0);
 }
@@ -390,12 +457,14 @@ static void emit_splat(struct seed *s, struct patch *p)
         to_world(f, o.axis[k], world[k]);
     axes_to_quat(world, q);
     const float at[2] = {p->x, p->y};
-    add_colour(s, p->view, at, p->side, 2.0f, sum);
-    mark_all_views(s, p, o.x, o.width, sum);
+    const struct sight own = look_at(s, p->view, at, p->side);
+    add_colour(&own, 2.0f, sum);
+    mark_all_views(s, p, o.x, o.width, &own, sum);
     const bool far = shell_has(&s->shell, o.x);
     for (int k = 0; k < 3 && far; k++) { // the sky of a saturated pixel is as all the rest of it
-        sum[k][0] = SKY_PRIOR * s->sky[k][0] / s->sky[k][1];
-        sum[k][1] = SKY_PRIOR;
+        const float mean = s->sky[k][0] / s->sky[k][1];
+        sum[k][0] += SKY_PRIOR * fminf(fmaxf(mean, own.least[k]), own.most[k]);
+        sum[k][1] += SKY_PRIOR;
     }
     if (!(sum[0][1] > 0)) // all that shows it is masked
         return;
@@ -538,8 +607,8 @@ static float view_score(const struct seed *s, int view)
     for (int i = 0; i < w * map->h; i++) {
         const int x = i % w * scale, y = i / w * scale;
         if (!views_hides_any(s->in->views, view, x, y, 1))
-            sum +=
-                s->in->depth->conf[map->at + (size_t)i] * s->weight[1][pixel_at(s, view, x, y)[1]];
+            sum += s->in->depth->conf[map->at + (size_t)i] *
+                   s->table.weight[1][pixel_at(s, view, x, y)[1]];
     }
     return sum;
 }
@@ -615,6 +684,8 @@ static err_t layout(struct seed *s, struct arena *a, const struct extent *maps, 
     const size_t n = (size_t)n_views;
     err_t e = arena_alloc(a, n, sizeof *s->frame, &s->frame);
     if (!e)
+        e = arena_alloc(a, n, sizeof *s->open, &s->open);
+    if (!e)
         e = arena_alloc(a, n, sizeof *s->order, &s->order);
     if (!e)
         e = arena_alloc(a, n, sizeof *s->score, &s->score);
@@ -666,24 +737,38 @@ static void measure_sky(struct seed *s)
         const struct extent *map = &d->extent[j];
         for (int k = 0; k < map->w * map->h; k++) {
             const float at[2] = {(float)(k % map->w) + 0.5f, (float)(k / map->w) + 0.5f};
-            if (d->far[map->at + (size_t)k])
-                add_colour(s, j, at, 1, 1, s->sky);
+            if (!d->far[map->at + (size_t)k])
+                continue;
+            const struct sight o = look_at(s, j, at, 1);
+            add_colour(&o, 1, s->sky);
         }
+    }
+}
+
+/* Cameras stand in the open: nothing is guessed near one. */
+static void measure_open(struct seed *s)
+{
+    const struct depthmaps *d = s->in->depth;
+    for (int i = 0; i < d->n; i++) {
+        const struct extent *map = &d->extent[i];
+        size_t n = 0;
+        for (size_t k = map->at; k < map->at + extent_pixels(map); k++)
+            if (d->conf[k] >= SWEEP_CONF_USABLE && !(d->far && d->far[k]))
+                s->smooth[n++] = d->depth[k];
+        s->open[i] = OPEN * num_quantile(s->smooth, n, NEAREST);
     }
 }
 
 static void prepare_views(struct seed *s)
 {
     s->shell = shell_of(s->in->views->cams, s->in->views->n);
-    struct response_table table;
-    response_tabulate(s->in->tone, &table);
-    for (int k = 0; k < 3 * 256; k++) {
-        s->linear[k / 256][k % 256] = exp2f(table.x[k / 256][k % 256]);
-        s->weight[k / 256][k % 256] = table.weight[k / 256][k % 256];
-    }
+    response_tabulate(s->in->tone, &s->table);
+    for (int k = 0; k < 3 * 256; k++)
+        s->linear[k / 256][k % 256] = exp2f(s->table.x[k / 256][k % 256]);
     for (int i = 0; i < s->in->views->n; i++)
         set_frame(&s->in->views->cams[i], s->in->depth->scale, &s->frame[i]);
     measure_sky(s);
+    measure_open(s);
     sort_views(s);
 }
 

@@ -43,6 +43,7 @@ static const float COST_OUTSIDE =
 static const float INSIDE = 1e-4f;     // least weight of a pixel inside the neighbour's picture
 static const float NOISE_VAR = 0.012f; // stops^2 added: noise alone does not correlate
 static const float FAINT_VAR = 0.002f; // stops^2: fainter windows match any other
+static const float ALIKE = 1;          // stop, two views of one surface
 
 /* Log2 luminance and its reliability, interleaved: both are sampled together. */
 struct light_map {
@@ -531,6 +532,17 @@ static err_t sweep_view(void *ctx, int i, int worker)
 
 /* ---- agreement between the views ---- */
 
+/* Whether pixel a of view i, if it is black or saturated, may show the surface of pixel b of
+ * another view, which is measured. */
+static bool is_bounded(const struct sweep *s, int i, const float *a, const float *b)
+{
+    const float shift = s->v->log2t[i] - s->v->mid_log2t;
+    float range[2];
+    response_bounds(&s->table, 1, a[0] + shift, a[1], range);
+    return !(range[0] < range[1]) ||
+           (b[0] + shift > range[0] - ALIKE && b[0] + shift < range[1] + ALIKE);
+}
+
 /* Depths of view i that other views confirm become the mean of all; the number of views gives the
  * confidence. */
 static err_t confirm_view(void *ctx, int i, int worker)
@@ -540,6 +552,7 @@ static err_t confirm_view(void *ctx, int i, int worker)
     const struct extent *own = &s->out->extent[i];
     const int w = own->w, n = s->n_near[i];
     const float *rho = s->rho + own->at, *sure = s->sure + own->at;
+    const float *light = s->light_map[0][i].px;
     const float floor = 0.02f * s->range[i][1] + 1e-9f,
                 step = (s->range[i][1] - s->range[i][0]) / 64.0f;
     double h[CHECK_MAX][12];
@@ -558,7 +571,9 @@ static err_t confirm_view(void *ctx, int i, int worker)
                 continue;
             size_t j = to->at + (size_t)p[1] * (size_t)to->w + (size_t)p[0];
             float seen = s->rho[j] * (float)p[2];
-            if (fabsf(seen - rho[at]) > fmaxf(step, 0.01f * rho[at]))
+            if (fabsf(seen - rho[at]) > fmaxf(step, 0.01f * rho[at]) ||
+                !is_bounded(s, i, light + 2 * at,
+                            s->light_map[0][s->near[i][k]].px + 2 * (j - to->at)))
                 continue;
             sum += seen * s->sure[j];
             weight += s->sure[j];

@@ -24,7 +24,8 @@ struct depthmaps {
     struct extent *extent; // (n) of the maps
     float *depth;          // (n) maps (h, w): z in the camera, scene units, > 0, finite
     float *conf;           // (n) maps (h, w), 0: smooth guess .. 1: several views agree
-    bool *far; // (n) maps (h, w): sees what is infinitely far (core/stereo/far.h); NULL: not known
+    uint8_t *far;          // (n) maps (h, w): FAR_SKY, FAR_BLACK: sees what is infinitely far
+                           // (core/stereo/far.h), 0: does not; NULL: not known
 };
 
 /* Whether the mask hides some of pixel i of the view's map. */

@@ -1,5 +1,6 @@
-/* A card before a sky whose radiance depends on the direction alone, above textured ground; and the
- * same before a bright smooth wall. Depth of card and ground is known, that of the rest is not. */
+/* A card before a sky whose radiance depends on the direction alone, above textured ground; the same
+ * before a bright smooth wall, and in the dark. Depth of card and ground is known, that of the rest
+ * is not. */
 #include "core/stereo/far.h"
 
 #include "core/base/shell.h"
@@ -13,7 +14,7 @@
 
 enum { VIEWS = 5, SIZE = 96, PIXELS = SIZE * SIZE };
 
-enum backdrop { SKY, WALL };
+enum backdrop { SKY, WALL, NIGHT };
 
 struct world {
     struct views v;
@@ -50,6 +51,8 @@ static float cast(const struct camera *c, const float ray[2], enum backdrop kind
         *z = ground;
         return -2 + 2 * cells(o[0] + ground * ray[0], ground);
     }
+    if (kind == NIGHT)
+        return -14;
     if (kind == SKY)
         return 1 - 0.3f * ray[1] + 0.2f * ray[0];
     const float wall = 8 - o[2], across = o[0] + wall * ray[0], up = o[1] + wall * ray[1];
@@ -155,6 +158,24 @@ static void the_sky_is_far(void **state)
     }
 }
 
+/* Black is where the longest exposures show none of the lamps' light; a short one tells nothing. */
+static void the_dark_is_far(void **state)
+{
+    (void)state;
+    static struct world w;
+    for (int mixed = 0; mixed < 2; mixed++) {
+        float hit, wrong;
+        make_world(&w, NIGHT, mixed ? MIXED : EQUAL, 2);
+        for (int k = 0; k < VIEWS * PIXELS * 3; k++) // noise
+            w.v.rgb[k] = (uint8_t)(w.v.rgb[k] + (w.v.rgb[k] < 8 ? k * 7919 % 5 : 0));
+        expect_ok(far_run(&w.run, &w.v, &w.tone, &w.depth));
+        shares(&w, &hit, &wrong);
+        if (hit < 0.98f || wrong > 0.01f)
+            fail_msg("%.3f of the dark is far, and %.3f of the rest", (double)hit, (double)wrong);
+        free_world(&w);
+    }
+}
+
 /* What hangs on the wall moves, and so does its light. */
 static void a_smooth_wall_is_not(void **state)
 {
@@ -214,6 +235,7 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(the_sky_is_far),
+        cmocka_unit_test(the_dark_is_far),
         cmocka_unit_test(a_smooth_wall_is_not),
         cmocka_unit_test(nothing_to_see),
         cmocka_unit_test(same_for_any_number_of_threads),

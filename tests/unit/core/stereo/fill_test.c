@@ -26,7 +26,7 @@ static struct place {
     struct fill f;
     struct camera cams[VIEWS];
     float log2t[VIEWS], depth[VIEWS * MPX], conf[VIEWS * MPX];
-    bool far[VIEWS * MPX];
+    uint8_t far[VIEWS * MPX];
     uint8_t rgb[3 * VIEWS * PX], masked[VIEWS * PX];
     float input[MPX * FILL_INPUT], answer[MPX * FILL_ANSWER];
 } w;
@@ -256,13 +256,17 @@ static void sky_goes_to_the_shell_and_what_is_none_comes_back(void **state)
         answer(k, 0, 0, -9);
     answer(40, 0, 0, 9);
     w.conf[40] = 0.1f;
-    w.far[50] = true;
+    w.far[50] = FAR_SKY;
     w.depth[50] = 1e5f;
     w.conf[50] = FAR_CONF;
     (void)fill_take(&w.f, 0, w.answer, &w.maps);
     const float z = shell_depth(&shell, w.cams, 2 * (40 % MAP + 0.5f), 2 * (float)(40 / MAP) + 1);
     assert_true(w.far[40] && w.conf[40] == FAR_CONF && fabsf(w.depth[40] / z - 1) < 1e-6f);
     assert_true(!w.far[50] && fabsf(w.depth[50] - WALL) < 1e-3f);
+    w.far[60] = FAR_BLACK; // of which the branch knows nothing
+    w.depth[60] = 1e5f;
+    (void)fill_take(&w.f, 0, w.answer, &w.maps);
+    assert_true(w.far[60] == FAR_BLACK && w.depth[60] == 1e5f);
     /* cameras in one place: nothing can be far */
     w.maps.far = NULL;
     w.depth[40] = WALL;

@@ -177,8 +177,8 @@ static void test_sky_is_on_the_shell(void **state)
     (void)state;
     struct world w;
     struct gaussians g;
-    static bool far[VIEWS * MAP * MAP];
-    int sky = 0;
+    static uint8_t far[VIEWS * MAP * MAP];
+    int sky = 0, seen[2] = {0};
     make_world(&w);
     const struct shell shell = shell_of(w.cams, VIEWS);
     w.depth.far = far;
@@ -193,7 +193,11 @@ static void test_sky_is_on_the_shell(void **state)
     }
     for (int i = 0; i < VIEWS; i++)
         memset(w.v.rgb + (size_t)i * SIZE * SIZE * 3, i ? 255 : 200, SIZE / 3 * SIZE * 3);
-    const float want = response_radiance_log(&w.tone, 0, 200 / 255.0f, w.log2t[0]);
+    for (int y = 0; y < SIZE / 3; y++)
+        memset(w.v.rgb + (size_t)y * SIZE * 3, 180, SIZE / 2 * 3); // a cloud
+    float want[2];                                                 // left, right
+    for (int k = 0; k < 2; k++)
+        want[k] = response_radiance_log(&w.tone, 0, (k ? 200 : 180) / 255.0f, w.log2t[0]);
     assert_int_equal(seed_run(&w.run, &w.in, MAX, &g), OK);
     check_finite(&g);
     for (int i = 0; i < g.n; i++) {
@@ -204,10 +208,48 @@ static void test_sky_is_on_the_shell(void **state)
         }
         sky++;
         assert_true(x[1] < 0 && g.plane[G_LOGIT][i] > 3);
-        assert_true(fabsf(g.plane[G_SH][i] * 0.2820948f - want) < 0.1f);
+        const float light = g.plane[G_SH][i] * 0.2820948f;
+        assert_true(light > want[0] - 0.1f && light < want[1] + 0.1f);
+        for (int k = 0; k < 2; k++)
+            seen[k] += fabsf(light - want[k]) < 0.02f;
     }
+    assert_true(seen[0] > 3 && seen[1] > 3);  // each part has its own radiance
     assert_true(sky > 20 && sky < MAP * MAP); // many pixels each
     free_world(&w);
+}
+
+/* The first view shows a wall of which red is saturated; the others are black, which tells nothing
+ * of it. Red is as bright as saturation at least. Where the first view is black and the others are
+ * white, its own splats stay black. */
+static void test_saturated_and_black_are_bounds(void **state)
+{
+    (void)state;
+    for (int black = 0; black < 2; black++) {
+        struct world w;
+        struct gaussians g;
+        make_world(&w);
+        memset(w.v.rgb, black ? 255 : 0, (size_t)VIEWS * SIZE * SIZE * 3);
+        for (int k = 0; k < SIZE * SIZE; k++)
+            memcpy(w.v.rgb + 3 * k, black ? (uint8_t[]){3, 0, 2} : (uint8_t[]){255, 200, 150}, 3);
+        for (int k = 0; k < MAP * MAP && black; k++) // lets all others wait
+            w.depth.conf[MAP * MAP + k] = w.depth.conf[2 * MAP * MAP + k] =
+                w.depth.conf[3 * MAP * MAP + k] = 0.3f;
+        assert_int_equal(seed_run(&w.run, &w.in, MAX, &g), OK);
+        int n = 0;
+        for (int i = 0; i < g.n; i++) {
+            const float light = g.plane[G_SH][i] * 0.2820948f;
+            if (g.plane[G_LOGIT][i] < 1.0f || fabsf(g.plane[G_MU][i]) > 1)
+                continue;
+            n++;
+            if (black)
+                assert_true(light <=
+                            response_radiance_log(&w.tone, 0, 8 / 255.0f, w.log2t[0]) + 0.01f);
+            else
+                assert_true(light > response_radiance_log(&w.tone, 0, 246 / 255.0f, w.log2t[0]));
+        }
+        assert_true(n > 10);
+        free_world(&w);
+    }
 }
 
 static void test_detail_is_given_up(void **state)
@@ -297,6 +339,55 @@ static void test_cameras_are_in_the_open(void **state)
     }
     assert_true(near > 0);
     free_world(&w);
+}
+
+/* View 0 guesses a surface at a depth where camera 3 stands at `x`, 1 before it, and does not see
+ * it: nothing is guessed around that camera, nor with a corner before what it sees. */
+static void expect_open(float x, float guess)
+{
+    struct world w;
+    struct gaussians g;
+    int guesses = 0;
+    make_world(&w);
+    memset(w.depth.conf, 0, 3 * MAP * MAP * sizeof(float));
+    for (int i = 1; i < 3; i++) { // views 1 and 2 look back
+        w.cams[i].q[0] = 0;
+        w.cams[i].q[2] = 1;
+    }
+    w.cams[3].t[0] = -x;
+    w.cams[3].t[2] = -1.0f;
+    for (int k = 0; k < MAP * MAP; k++) {
+        float surface;
+        w.depth.depth[3 * MAP * MAP + k] =
+            plane_depth(&w.cams[3], 2.0f * (float)(k % MAP) + 1.0f, &surface);
+        w.depth.depth[k] = guess;
+        w.depth.conf[k] = k % MAP < 3;
+    }
+    assert_int_equal(seed_run(&w.run, &w.in, MAX, &g), OK);
+    for (int i = 0; i < g.n; i++) {
+        const float at[3] = {g.plane[G_MU][i] - x, g.plane[G_MU + 1][i],
+                             g.plane[G_MU + 2][i] - 1.0f};
+        const float half = 0.5f * expf(g.plane[G_LOG_SCALE + 1][i]) / 0.55f;
+        if (g.plane[G_LOGIT][i] > 1.0f)
+            continue;
+        guesses++;
+        assert_true(at[0] * at[0] + at[1] * at[1] + at[2] * at[2] > 1);
+        for (int k = 0; k < 4 && at[2] > 0; k++) {
+            const float u = 45 * (at[0] + (k % 2 ? half : -half)) / at[2] + 24;
+            const float v = 45 * (at[1] + (k / 2 ? half : -half)) / at[2] + 24;
+            if (u > 1 && v > 1 && u < MAP - 1 && v < MAP - 1)
+                assert_true(at[2] > 0.9f * w.depth.depth[(3 * MAP + (int)v) * MAP + (int)u]);
+        }
+    }
+    assert_true(guesses > 10);
+    free_world(&w);
+}
+
+static void test_guesses_leave_cameras_in_the_open(void **state)
+{
+    (void)state;
+    expect_open(-0.3f, 1.5f);
+    expect_open(0.25f, 2.9f);
 }
 
 /* Where nothing is sure, holes are filled from behind: nothing new stands before the surface. */
@@ -394,10 +485,12 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_plane),
         cmocka_unit_test(test_sky_is_on_the_shell),
+        cmocka_unit_test(test_saturated_and_black_are_bounds),
         cmocka_unit_test(test_detail_is_given_up),
         cmocka_unit_test(test_floating_surface_is_dropped),
         cmocka_unit_test(test_wrong_matches_are_dropped),
         cmocka_unit_test(test_cameras_are_in_the_open),
+        cmocka_unit_test(test_guesses_leave_cameras_in_the_open),
         cmocka_unit_test(test_unsure_pixels_are_filled_from_behind),
         cmocka_unit_test(test_hole_is_filled_near_its_surface),
         cmocka_unit_test(test_blind_views_are_filled),

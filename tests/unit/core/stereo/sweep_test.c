@@ -268,6 +268,33 @@ static void test_blank_wall(void **state)
     free_world(&w);
 }
 
+/* A part of the longest exposure is black, or saturated: what others measure there can not be as
+ * dark, but may well be as bright. */
+static void test_black_is_not_a_bright_surface(void **state)
+{
+    (void)state;
+    static struct world w;
+    for (int value = 0; value <= 255; value += 255) {
+        struct depthmaps d;
+        float sum = 0;
+        int n = 0;
+        make_world(&w, 2);
+        for (int k = 0; k < SIZE * SIZE; k++)
+            if (abs(k % SIZE - 64) < 24 && abs(k / SIZE - 100) < 16)
+                memset(w.v.rgb + ((size_t)2 * SIZE * SIZE + (size_t)k) * 3, value, 3);
+        assert_int_equal(sweep_run(&w.run, &w.v, &w.tone, &d), OK);
+        for (int k = 0; k < SIZE * SIZE; k++) {
+            if (abs(k % SIZE - 64) >= 16 || abs(k / SIZE - 100) >= 8)
+                continue;
+            sum += d.conf[d.extent[2].at + (size_t)k];
+            n++;
+        }
+        if (value == 0 ? sum > 0.05f * (float)n : sum < 0.2f * (float)n)
+            fail_msg("confidence %g where a view is %d", (double)(sum / (float)n), value);
+        free_world(&w);
+    }
+}
+
 static void test_two_views(void **state)
 {
     (void)state;
@@ -361,6 +388,7 @@ int main(void)
         cmocka_unit_test(test_same_for_any_number_of_ranks),
         cmocka_unit_test(test_nothing_to_match),
         cmocka_unit_test(test_blank_wall),
+        cmocka_unit_test(test_black_is_not_a_bright_surface),
         cmocka_unit_test(test_two_views),
         cmocka_unit_test(test_seen_by_one_neighbour),
         cmocka_unit_test(test_near_at_the_border),
