@@ -2,9 +2,9 @@
  * 2. Each pixel of a region is looked up in the same direction in every other view: the same
  *    radiance there speaks for infinity, another one against it, and a surface that stereo knows
  *    there says nothing.
- * 3. A region is sky if nearly all that speaks speaks for infinity, if it is bright or is a black
- *    backdrop, and if it reaches the border of the picture; then, if it looks as the sky of any view
- *    does.
+ * 3. A region is sky if nearly all that speaks speaks for infinity, if it is bright or a black
+ *    backdrop, and if it reaches the border of the picture; then, if it looks as the sky of any
+ *    view does.
  * 4. It grows over pixels that look like it, up to the silhouettes before it. */
 #include "core/stereo/far.h"
 
@@ -37,7 +37,7 @@ static const float AGREE = 0.97f;  // share of the votes
 static const float BRIGHT = 0.5f;  // quantile of the rest of the picture
 static const float ASKED = 0.25f;  // votes per pixel
 
-/* log2 radiance, and which colours are saturated or black: at least or at most as bright as that. */
+/* log2 radiance, and which colours are saturated, at least as bright as that, or black, at most. */
 struct colour {
     float log2[3];
     float light; // log2 luminance
@@ -248,8 +248,8 @@ static int neighbour_of(const struct extent *map, int at, int k)
     return x < 0 || y < 0 || x >= map->w || y >= map->h ? -1 : y * map->w + x;
 }
 
-/* The region of smooth pixels around `first`, all black or none; label -2, -3: smooth, black, not yet
- * part of one. */
+/* The region of smooth pixels around `first`, all black or none; label -2, -3: smooth, black, not
+ * yet part of one. */
 static void flood_region(const struct far *s, int i, int first, int32_t *stack, int name)
 {
     const struct extent *map = &s->d->extent[i];

@@ -255,8 +255,8 @@ static float confidence_of(const struct fill *f, int view, const float uvz[3], c
     return answer[FILL_SPREAD] < SURE && !is_measured(f, view, uvz) ? SWEEP_CONF_USABLE : GUESSED;
 }
 
-/* What a pixel sees of the shell: what far_run said holds unless the branch is sure of the opposite.
- * It knows skies, not black backdrops. */
+/* What a pixel sees of the shell: what far_run said holds unless the branch is sure of the
+ * opposite. It knows skies, not black backdrops. */
 static uint8_t sees_shell(uint8_t was, const float *answer)
 {
     if (was == FAR_BLACK)

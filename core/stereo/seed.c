@@ -196,7 +196,7 @@ static struct sight look_at(const struct seed *s, int view, const float *at, flo
     return o;
 }
 
-/* Whether one view is darker than the other may be, or brighter, because it is black or saturated. */
+/* Whether one view is as bright as the other allows, if that is black or saturated. */
 static bool is_bounded(const struct sight *a, const struct sight *b)
 {
     for (int c = 0; c < 3; c++) {

@@ -292,6 +292,23 @@ static void test_inverse(void **state)
                 table.weight[0][128] > 0.8f);
 }
 
+/* Black is at most as bright as display value 8, saturated at least as bright as 247. */
+static void test_bounds(void **state)
+{
+    (void)state;
+    struct tonemap tone;
+    struct response_table t;
+    float range[2];
+    response_fit(NULL, 0, 0, &tone);
+    response_tabulate(&tone, &t);
+    response_bounds(&t, 1, t.x[1][100], t.weight[1][100], range);
+    assert_true(range[0] == t.x[1][100] && range[1] == t.x[1][100]);
+    response_bounds(&t, 1, t.x[1][0], t.weight[1][0], range);
+    assert_true(range[0] == -INFINITY && range[1] == t.x[1][8]);
+    response_bounds(&t, 1, t.x[1][255], t.weight[1][255], range);
+    assert_true(range[0] == t.x[1][247] && range[1] == INFINITY);
+}
+
 static void test_srgb(void **state)
 {
     (void)state;
@@ -341,7 +358,7 @@ int main(void)
         cmocka_unit_test(test_without_grey), cmocka_unit_test(test_wrong_pairs),
         cmocka_unit_test(test_inverse),      cmocka_unit_test(test_srgb),
         cmocka_unit_test(test_other_places), cmocka_unit_test(test_told),
-        cmocka_unit_test(test_refusals),
+        cmocka_unit_test(test_bounds),       cmocka_unit_test(test_refusals),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

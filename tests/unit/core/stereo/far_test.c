@@ -1,6 +1,6 @@
-/* A card before a sky whose radiance depends on the direction alone, above textured ground; the same
- * before a bright smooth wall, and in the dark. Depth of card and ground is known, that of the rest
- * is not. */
+/* A card before a sky whose radiance depends on the direction alone, above textured ground; before
+ * a bright smooth wall; and in the dark. Depth of card and ground is known, that of the rest is
+ * not. */
 #include "core/stereo/far.h"
 
 #include "core/base/shell.h"
