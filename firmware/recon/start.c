@@ -20,6 +20,7 @@
 #include "core/splat/anysplat.h"
 #include "core/stereo/contradict.h"
 #include "core/stereo/far.h"
+#include "core/stereo/gap.h"
 #include "core/stereo/seed.h"
 #include "core/stereo/sweep.h"
 
@@ -619,10 +620,13 @@ static err_t place_seeds(struct start *s)
     const struct views *v = &s->merged.views;
     const struct tonemap *tone = &s->merged.tone;
     const struct seed_input in = {.views = v, .depth = &s->depth, .tone = tone};
+    const struct shell shell = shell_of(v->cams, v->n);
+    const int max = refine_begin(&s->recipe->refinement, v->n); // it splits what needs detail
     struct gaussians seeds;
     announce_stage(s->run, "seed");
-    /* refinement splits where the photographs hold more than noise */
-    err_t e = seed_run(s->run, &in, refine_begin(&s->recipe->refinement, v->n), &seeds);
+    err_t e = seed_run(s->run, &in, max, &seeds);
+    if (!e)
+        e = gap_fill(s->run, &shell, &seeds, max);
     response_mean(v, tone, out->scene.background);
     if (!e)
         gaussians_copy(&seeds, 0, &out->scene.g); // refinement adds bands where they are asked for
@@ -683,6 +687,7 @@ static void plan_seeds(struct plan *p, const struct recipe *recipe, const struct
         exposure_stack_merge_plan(p, v);
     }
     seed_plan(p, network ? v->extent : maps, v->n, refine_begin(&recipe->refinement, v->n), &seeds);
+    gap_plan(p);
 }
 
 static void plan_stereo(struct plan *p, const struct job_config *cfg, const struct recipe *recipe,
