@@ -65,7 +65,7 @@ diff <(figures "$OUT/whole") <(figures "$result") || fail "other figures after i
 
 # ---- eval: the same, with its pictures and its report ----
 
-measure=(eval --data "$OUT/set" --size 88 --refine 400 --set job.checkpoint_s=1)
+measure=(eval --data "$OUT/set" --size 88 --refine 1200 --set job.checkpoint_s=1)
 result=$OUT/results/measured
 checkpoint=$OUT/results/.measured.checkpoint
 expect 2 'resume needs --out' "${measure[@]}" --resume
@@ -103,7 +103,7 @@ if [ "$(id -u)" -eq 0 ]; then
         expect 3 'the result takes up to' "${job[@]}" --out "$OUT/small/scene"
         need=$(sed -n 's/.*takes up to \([0-9]*\) bytes.*/\1/p' "$ERR")
         mount -o remount,size=$((need + 400000)) "$OUT/small"
-        succeed "${job[@]}" --refine 200 --out "$OUT/small/scene"
+        succeed "${job[@]}" --out "$OUT/small/scene"
         [ "$(grep -c 'no checkpoint, the job goes on without' "$ERR")" -eq 1 ] ||
             fail "no room: $(head -n 3 "$ERR")"
     fi
