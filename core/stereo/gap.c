@@ -97,9 +97,10 @@ static void mark_splat(const struct shell *shell, const struct gaussians *g, int
 static const struct cell *find_sky(const struct cell *cells, const float *d, const float (*ab)[3],
                                    float angle, float *way)
 {
+    const float right = cosf(angle), down = sinf(angle);
     float at[3];
     for (*way = STEP; *way < REACH; *way += STEP) {
-        step_aside(d, ab[0], ab[1], (const float[2]){*way * cosf(angle), *way * sinf(angle)}, at);
+        step_aside(d, ab[0], ab[1], (const float[2]){*way * right, *way * down}, at);
         const struct cell *c = &cells[cell_of(at)];
         if (c->n > 0)
             return c;
@@ -169,13 +170,15 @@ err_t gap_fill(const struct run *r, const struct shell *shell, struct gaussians 
     if (e)
         return e;
     memset(cells, 0, CELLS * sizeof *cells);
-    const int n = g->n;
-    for (int i = 0; i < n; i++) {
+    bool any = false; // without sky nothing is between it
+    for (int i = 0; i < g->n; i++) {
         const float x[3] = {g->plane[G_MU][i], g->plane[G_MU + 1][i], g->plane[G_MU + 2][i]};
-        if (shell_has(shell, x))
-            mark_splat(shell, g, i, cells);
+        if (!shell_has(shell, x))
+            continue;
+        mark_splat(shell, g, i, cells);
+        any = true;
     }
-    for (int k = 0; k < CELLS && g->n < max; k++) {
+    for (int k = 0; k < CELLS && any && g->n < max; k++) {
         float d[3], colour[3];
         direction_of(k, d);
         if (!(cells[k].n > 0) && is_between(cells, d, colour))
