@@ -8,9 +8,9 @@ static bool size_is_allowed(int cap, int degree)
     return cap >= 0 && cap <= GAUSSIANS_MAX && degree >= 0 && degree <= SH_DEGREE_MAX;
 }
 
-static int rounded_cap(int cap)
+int gaussians_cap(int cap)
 {
-    return cap == 0 ? 16 : (cap + 15) / 16 * 16;
+    return cap > 16 ? (cap + 15) / 16 * 16 : 16;
 }
 
 err_t gaussians_init(struct gaussians *g, struct arena *a, int cap, int degree)
@@ -22,14 +22,14 @@ err_t gaussians_init(struct gaussians *g, struct arena *a, int cap, int degree)
             cap, degree, GAUSSIANS_MAX, SH_DEGREE_MAX);
     size_t mark = arena_mark(a);
     for (int p = 0; p < gaussians_planes(degree); p++) {
-        err_t e = arena_zalloc(a, (size_t)rounded_cap(cap), sizeof(float), &g->plane[p]);
+        err_t e = arena_zalloc(a, (size_t)gaussians_cap(cap), sizeof(float), &g->plane[p]);
         if (e) {
             arena_reset(a, mark);
             memset(g, 0, sizeof *g);
             return e;
         }
     }
-    g->cap = rounded_cap(cap);
+    g->cap = gaussians_cap(cap);
     g->degree = degree;
     return OK;
 }

@@ -14,7 +14,10 @@ enum { GAUSSIANS_MAX = 1 << 24 }; // splats; density_sort packs a number into 24
 /* Bytes that gaussians_init takes from its arena; SIZE_MAX for a cap or degree that it refuses. */
 size_t gaussians_need(int cap, int degree);
 
-/* Room for `cap` splats (0..GAUSSIANS_MAX, rounded up to a multiple of 16, at least 16) of SH
+/* The room that gaussians_init makes for `cap` splats: a multiple of 16, at least 16. */
+int gaussians_cap(int cap);
+
+/* Room for `cap` splats (0..GAUSSIANS_MAX, rounded up by gaussians_cap) of SH
  * `degree` 0..4.
  * out:  *g with n = 0, planes zeroed, unused planes NULL; memory lives in a. On error *g is zeroed.
  * err:  ERR_ARG, ERR_NOMEM (arena; see gaussians_need). */

@@ -1,5 +1,6 @@
 #include "core/refine/confidence.h"
 
+#include "core/base/gaussians.h"
 #include "core/base/lin.h"
 #include "core/base/num.h"
 #include "core/base/rotation.h"
@@ -56,8 +57,7 @@ void confidence_plan(struct plan *p, int cap)
     struct confidence c;
     struct scene s;
     const size_t mark = arena_mark(&p->tmp);
-    cap = cap > 16 ? (cap + 15) / 16 * 16 : 16; // as gaussians_init makes of it
-    if (layout(&c, &p->tmp, cap) || layout_result(&s, &p->keep, cap))
+    if (layout(&c, &p->tmp, gaussians_cap(cap)) || layout_result(&s, &p->keep, gaussians_cap(cap)))
         plan_refuse(p);
     arena_reset(&p->tmp, mark);
 }
@@ -429,19 +429,44 @@ static err_t suggest_photograph(const struct run *r, struct survey *l,
     return e;
 }
 
+static err_t measure_splats(const struct run *r, struct survey *l, const struct views *v,
+                            float *out)
+{
+    err_t e = layout(l->c, r->tmp, l->s->g.cap);
+    if (!e)
+        e = count_photographs(r, l, v);
+    for (int i = 0; i < l->s->g.n && !e; i++)
+        out[i] = value_with(l, i, 0);
+    return e;
+}
+
+size_t confidence_need(int cap)
+{
+    struct arena a = arena_counter();
+    struct confidence c;
+    return layout(&c, &a, gaussians_cap(cap)) ? SIZE_MAX : a.peak;
+}
+
+err_t confidence_measure(const struct run *r, const struct views *v, const struct scene *s,
+                         float *out)
+{
+    struct confidence c;
+    struct survey l = {.c = &c, .s = s, .shell = shell_of(s->cams, s->n_views)};
+    const size_t mark = arena_mark(r->tmp);
+    err_t e = measure_splats(r, &l, v, out);
+    arena_reset(r->tmp, mark);
+    return e;
+}
+
 err_t confidence_run(const struct run *r, const struct views *v, struct scene *s,
                      struct confidence_advice *advice)
 {
     struct confidence c;
     struct survey l = {.c = &c, .s = s, .shell = shell_of(s->cams, s->n_views)};
     const size_t mark = arena_mark(r->tmp);
-    err_t e = layout(&c, r->tmp, s->g.cap);
+    err_t e = layout_result(s, r->keep, s->g.cap);
     if (!e)
-        e = layout_result(s, r->keep, s->g.cap);
-    if (!e)
-        e = count_photographs(r, &l, v);
-    for (int i = 0; i < s->g.n && !e; i++)
-        s->confidence[i] = value_with(&l, i, 0);
+        e = measure_splats(r, &l, v, s->confidence);
     if (!e)
         e = suggest_photograph(r, &l, advice);
     arena_reset(r->tmp, mark);

@@ -39,9 +39,17 @@ struct confidence_advice {
 void confidence_plan(struct plan *p, int cap);
 
 /* The confidence of every splat of s, seen by the photographs of v, one of each view of s.
- * out:  s->confidence in r->keep; *advice: of places around up to 4 input views, the one that gains
- *       most while it sees enough that is known to be placed itself, and none was taken near it.
+ * out:  (s->g.n).
  * err:  those of raster_run, ERR_NOMEM. */
+MUST_USE err_t confidence_measure(const struct run *r, const struct views *v,
+                                  const struct scene *s, float *out);
+
+/* Bytes of r->tmp that it takes for scenes of up to `cap` splats. */
+size_t confidence_need(int cap);
+
+/* The same into s->confidence, in r->keep, and where one more photograph would prove most.
+ * out:  *advice: of places around up to 4 input views, the one that gains most while it sees enough
+ *       that is known to be placed itself, and none was taken near it. */
 MUST_USE err_t confidence_run(const struct run *r, const struct views *v, struct scene *s,
                               struct confidence_advice *advice);
 

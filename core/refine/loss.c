@@ -283,6 +283,15 @@ static void measure_excess(const struct job *j, int colour, int y, const float *
     }
 }
 
+/* Of the band of row y, from the first square of the picture on. */
+static struct held_sum *sums_at(const struct job *j, int y)
+{
+    const struct loss_input *in = j->in;
+    return in->sums ? in->sums + (size_t)((in->y + y) / ROWS) * (size_t)in->held_across +
+                          in->x / in->held_px
+                    : NULL;
+}
+
 static void measure_held_out(const struct job *j, int colour, int y, const float *codes, float *d,
                              double *p)
 {
@@ -292,16 +301,28 @@ static void measure_held_out(const struct job *j, int colour, int y, const float
         in->held + (size_t)((in->y + y) / px) * (size_t)in->held_across + in->x / px;
     const uint8_t *skip = in->skip ? in->skip + cell_at(j, y) : NULL;
     const uint8_t *masked = in->masked ? in->masked + row_at(j, y) : NULL;
-    size_t at = (size_t)colour * j->px + (size_t)y * (size_t)j->w;
+    const float *ldr = ldr_row(j, colour, y), behind = in->behind[colour];
+    const float *alpha = in->pic->alpha + (size_t)y * (size_t)j->w;
+    struct held_sum *sums = sums_at(j, y);
+    if (sums && colour == 0 && y % ROWS == 0)
+        memset(sums, 0, (size_t)squares * sizeof *sums);
     for (int s = 0; s < squares; s++) {
+        struct held_sum here = {0};
         int end = (s + 1) * px < j->w ? (s + 1) * px : j->w;
         for (int i = s * px; i < end && held[s]; i++) {
             d[i] = 0;
             if ((skip && skip[i / in->cell_px]) || (masked && masked[i]))
                 continue;
-            double diff = (double)j->l->ldr[at + (size_t)i] - (double)codes[i] / 255.0;
-            p[P_SSE] += diff * diff;
-            p[P_HELD] += 1;
+            const float shown = ldr[i] - behind * (1.0f - alpha[i]);
+            double diff = (double)shown - (double)codes[i] / 255.0;
+            here.sse += diff * diff;
+            here.n += 1;
+        }
+        p[P_SSE] += here.sse;
+        p[P_HELD] += here.n;
+        if (sums) {
+            sums[s].sse += here.sse;
+            sums[s].n += here.n;
         }
     }
 }
@@ -405,13 +426,26 @@ static void fill_output(const struct job *j, const double *total, struct loss_ou
     double windows = 3.0 * (j->h - EDGE) * (j->w - EDGE);
     out->loss = (double)j->in->w_l1 * total[P_L1] / (3.0 * (double)j->px) +
                 (double)j->in->w_ssim * (1 - total[P_SSIM] / windows);
-    out->held_sse = total[P_SSE];
-    out->held_n = (long)total[P_HELD];
+    out->held = (struct held_sum){total[P_SSE], total[P_HELD]};
     memset(out->tone, 0, sizeof out->tone);
     for (int c = 0; c < 3; c++)
         tonemap_grad(j->in->tone->p + c * TONE_PER_COLOUR, &j->table.c[c],
                      total + P_G0 + c * SEGMENTS, total + P_G1 + c * SEGMENTS,
                      out->tone + c * TONE_PER_COLOUR);
+}
+
+err_t loss_gather(struct team *t, const struct loss_input *in, int px, void *data, size_t row)
+{
+    int begin[TEAM_MAX];
+    size_t at[TEAM_MAX + 1];
+    if (!t)
+        return OK;
+    begin[t->rank] = in->first;
+    err_t e = team_collect(t, begin, sizeof begin[0]);
+    for (int k = 0; k < t->size; k++)
+        at[k] = row * (size_t)((in->y + begin[k]) / px);
+    at[t->size] = row * (size_t)((in->y + in->pic->h + px - 1) / px);
+    return e ? e : team_spread(t, data, at);
 }
 
 err_t loss_run(const struct run *r, struct loss *l, const struct loss_input *in,

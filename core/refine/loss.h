@@ -31,6 +31,12 @@ struct loss {
     struct team *team;
 };
 
+/* Of values that are held out, over black. */
+struct held_sum {
+    double sse; // of the differences
+    double n;   // how many values
+};
+
 struct loss_input {
     const struct render *pic;
     const struct tonemap *tone;
@@ -42,9 +48,12 @@ struct loss_input {
     int x, y;                // px of the photograph where the picture begins, multiples of held_px
     float behind[3];         // display value added times (1 - alpha)
     float w_l1, w_ssim;
-    const uint8_t *held; // (ceil(photo_h / held_px), held_across) 1 = held out; NULL = nothing
-    int held_px;         // edge of a square
-    int held_across;     // squares in a row of `held`, >= ceil(photo_w / held_px)
+    const uint8_t *held;   // (ceil(photo_h / held_px), held_across) 1 = held out; NULL = nothing
+    int held_px;           // edge of a square
+    int held_across;       // squares in a row of `held`, >= ceil(photo_w / held_px)
+    struct held_sum *sums; // (bands, held_across) out: of each 16 rows of the photograph that are
+                           // compared here and each square, whose edge is a multiple of 16 then;
+                           // NULL: not wanted
     /* The same for cells of cell_px, of which 16 is a multiple, in rows of cells_across. */
     const uint8_t *skip; // 1 = left out; NULL = nothing
     float *excess;       // (rows, 3, cells_across) out: mean of picture - photograph of each
@@ -57,8 +66,7 @@ struct loss_input {
 
 struct loss_output {
     double loss;
-    double held_sse;         // sum of squared differences in held-out squares
-    long held_n;             // number of these values
+    struct held_sum held;    // all of the picture
     float tone[TONE_PARAMS]; // gradient of the curves
 };
 
@@ -67,6 +75,12 @@ size_t loss_plan(int w, int h, int workers);
 
 /* err: ERR_ARG (a side below 11 px or above RASTER_SIDE_MAX), ERR_NOMEM. */
 MUST_USE err_t loss_init(struct loss *l, struct arena *a, int w, int h, int workers);
+
+/* Rows of cells of px pixels, `row` bytes each, that other ranks have compared.
+ * data: from the first row of the photograph on; t: NULL: nothing to do.
+ * err:  those of team_collect. */
+MUST_USE err_t loss_gather(struct team *t, const struct loss_input *in, int px, void *data,
+                           size_t row);
 
 /* Value and gradient; the picture has the planned size or a smaller one (same workspace, other step
  * of a pyramid).

@@ -61,30 +61,13 @@ void outliers_begin(struct outliers *o)
     memset(o->skip, 0, all);
 }
 
-/* Rows of cells that other ranks have compared. */
-static err_t gather_excess(struct team *t, struct outliers *o, const struct loss_input *compared)
-{
-    const int px = compared->cell_px;
-    const size_t row = 3 * sizeof(float) * (size_t)o->across;
-    int begin[TEAM_MAX];
-    size_t at[TEAM_MAX + 1];
-    if (!t)
-        return OK;
-    begin[t->rank] = compared->first;
-    err_t e = team_collect(t, begin, sizeof begin[0]);
-    for (int k = 0; k < t->size; k++)
-        at[k] = row * (size_t)((compared->y + begin[k]) / px);
-    at[t->size] = row * (size_t)((compared->y + compared->pic->h + px - 1) / px);
-    return e ? e : team_spread(t, o->excess, at);
-}
-
 err_t outliers_see(struct team *t, struct outliers *o, int k, const struct loss_input *compared)
 {
     const int px = compared->cell_px;
     const int x1 = (compared->x + compared->pic->w + px - 1) / px;
     const int y1 = (compared->y + compared->pic->h + px - 1) / px;
     float *score = o->score + (size_t)k * outliers_cells(o);
-    err_t e = gather_excess(t, o, compared);
+    err_t e = loss_gather(t, compared, px, o->excess, 3 * sizeof(float) * (size_t)o->across);
     for (int row = compared->y / px; row < y1 && !e; row++)
         for (int col = compared->x / px; col < x1; col++) {
             float most = 0;

@@ -5,9 +5,10 @@
  *
  * Held-out squares of the input views (1 in 24 squares of 32 px, others in every view, so that most
  * photographs still show each surface) decide the size of the model:
- * - Gaussians: between 33 % and 70 % of the steps the splats with the largest gradients are split
- *   once a round, unless the held-out error is close to the noise of the photographs (then more
- *   splats would only learn noise), and until SPLITS_VAIN rounds have not lowered it;
+ * - Gaussians: between 33 % and 70 % of the steps the splats with the largest gradients, guesses
+ *   (confidence.h) left out, are split once a round, unless the held-out error is close to the
+ *   noise of the photographs (then more splats would only learn noise), and until SPLITS_VAIN
+ *   rounds have not lowered it;
  * - SH bands: one band at a time is trained for 15 % of the steps and kept if it lowers the
  *   held-out error;
  * - steps: when PATIENCE rounds have not lowered the held-out error, the schedule is cut short;
@@ -18,6 +19,7 @@
 #include "core/base/gaussians.h"
 #include "core/base/splitmix.h"
 #include "core/photo/noise.h"
+#include "core/refine/confidence.h"
 #include "core/refine/refine_inner.h"
 #include "core/sfm/pose.h"
 #include "core/splat/raster.h"
@@ -96,9 +98,9 @@ static err_t layout(struct refine *f, struct arena *a, int threads)
     if (!e)
         e = outliers_layout(&f->outliers, a, f->v, OUTLIERS_PX << (f->levels > 2));
     if (!e)
-        e = arena_zalloc(a, all, 8, &f->photo_sse);
+        e = arena_alloc(a, q * q * (size_t)(f->held_px / TILE), sizeof *f->bands, &f->bands);
     if (!e)
-        e = arena_zalloc(a, all, 8, &f->photo_n);
+        e = arena_zalloc(a, all * q * q, sizeof *f->sums, &f->sums);
     if (!e)
         e = arena_zalloc(a, n, 4, &f->shuffled);
     if (!e)
@@ -127,6 +129,7 @@ size_t refine_plan(const struct views *v, const struct refine_config *cfg, int t
         layout(&f, &a, threads))
         return SIZE_MAX;
     arena_step(&a, noise_plan(v));
+    arena_step(&a, confidence_need(cfg->gaussians_max));
     return a.peak;
 }
 
@@ -265,19 +268,28 @@ static err_t update_bands(struct refine *f)
     return OK;
 }
 
-static void split_splats(struct refine *f)
+/* What one photograph shows alone would be split to fit that one only. */
+static err_t spare_guesses(struct refine *f)
+{
+    float *confidence = f->d.tmp;
+    err_t e = confidence_measure(f->r, f->v, f->s, confidence);
+    for (int i = 0; i < f->s->g.n && !e; i++)
+        f->d.score[i] = confidence[i] < CONFIDENCE_GUESS ? 0 : f->d.score[i];
+    return e;
+}
+
+static err_t split_splats(struct refine *f)
 {
     struct gaussians *g = &f->s->g;
     if (f->splits_done || !is_settled(f))
-        return;
+        return OK;
     float db = refine_step_held_db(f);
     /* one per pixel: more did not help denser starts */
     int most = (int)extent_cover(f->v->extent, f->v->n).at;
     most = most < f->cfg->gaussians_max ? most : f->cfg->gaussians_max;
     const float noise_db = f->noise_db + LEVEL_NOISE_DB * (float)f->level;
     bool noise = db > noise_db - SPLIT_NOISE_DB, all = g->n >= most;
-    if (f->level != f->split_level || db > f->split_db) {
-        f->split_level = f->level;
+    if (db > f->split_db) {
         f->split_db = db;
         f->splits_vain = 0;
     } else
@@ -291,12 +303,16 @@ static void split_splats(struct refine *f)
                  : vain  ? "more made held-out squares no better"
                          : "the steps that are left train these",
                  (double)db, (double)noise_db);
-        return;
+        return OK;
     }
     density_prune(&f->d, 0.01f);
+    err_t e = spare_guesses(f);
+    if (e)
+        return e;
     int room = most - g->n, want = (int)(SPLIT_SHARE * (float)g->n);
     density_split(&f->d, want < room ? want : room);
     density_sort(&f->d);
+    return OK;
 }
 
 static err_t measure_best(struct refine *f)
@@ -410,9 +426,10 @@ static err_t end_round(struct refine *f, int round)
     err_t e = compare_best(f);
     if (!e)
         e = keep_pace(f);
+    if (!e)
+        e = split_splats(f);
     if (e)
         return e;
-    split_splats(f);
     if (f->level > 0 || f->band_from > 0)
         return OK;
     bool better = db > f->best_db + STALL_DB;
@@ -437,11 +454,22 @@ static err_t begin_steps(struct refine *f)
     return e ? e : refine_step_measure(f, &f->rep->held_out_db[0]);
 }
 
+/* Errors of pictures of another size are not comparable, and parts come round slowly. */
+static err_t enter_level(struct refine *f, int level)
+{
+    if (level == f->level)
+        return OK;
+    f->level = level;
+    f->splits_vain = -1; // there is none yet
+    return refine_step_measure(f, &f->split_db);
+}
+
 static err_t take_step(struct refine *f)
 {
     const int round = round_of(f->v->n);
-    f->level = pace_level(f->step, f->steps, f->levels);
-    err_t e = refine_step_learn(f);
+    err_t e = enter_level(f, pace_level(f->step, f->steps, f->levels));
+    if (!e)
+        e = refine_step_learn(f);
     f->expected += f->pace.seconds[f->level];
     f->rep->steps = ++f->step;
     if (!e && f->step % round == 0)

@@ -40,8 +40,8 @@ struct refine {
     uint8_t *held;          // (n, squares, squares)
     int held_px, squares;   // edge of a square; squares of the longest edge
     struct outliers outliers;
-    double *photo_sse;      // (photographs) held-out squared error of the last comparisons
-    double *photo_n;        // (photographs) number of these values
+    struct held_sum *bands; // of one photograph, see struct loss_input
+    struct held_sum *sums;  // (photographs, squares, squares) of the last comparison of each
     int *shuffled, n_drawn; // (n) order of the views in this round
     uint64_t rng;
     float extent; // scene units
@@ -52,8 +52,8 @@ struct refine {
     bool bands_done, splits_done;
     float noise_db;               // of the photographs, as a PSNR
     float best_db;                // held-out, at full size, as drawn in the rounds
-    float split_db;               // the highest before a split at split_level
-    int split_level, splits_vain; // splits since
+    float split_db;               // the highest before a split at this level
+    int splits_vain;              // splits since
     int measured;                 // step of the last comparison with the best scene
     struct best best;
     int stalled; // rounds without progress
@@ -65,6 +65,12 @@ struct refine {
     struct adam_step group[REFINE_GROUPS];
     struct refine_input input; // with a saver
 };
+
+/* In a photograph. */
+static inline size_t refine_squares(const struct refine *f)
+{
+    return (size_t)f->squares * (size_t)f->squares;
+}
 
 /* ---- refine_step.c ---- */
 

@@ -167,8 +167,7 @@ static void pass_counters(struct passage *p)
     pass_int(p, &f->level, 0, f->levels - 1);
     pass_int(p, &f->n_drawn, 0, f->v->n);
     pass_int(p, &f->band_from, 0, f->step);
-    pass_int(p, &f->split_level, 0, f->levels - 1);
-    pass_int(p, &f->splits_vain, 0, f->step);
+    pass_int(p, &f->splits_vain, -1, f->step);
     pass_int(p, &f->measured, 0, f->step);
     pass_int(p, &f->stalled, 0, f->step);
     pass_int(p, &f->best.step, 0, f->step);
@@ -199,8 +198,7 @@ static void pass_views(struct passage *p)
 {
     struct refine *f = p->f;
     const size_t n = (size_t)f->v->n, photos = n + (size_t)f->v->n_more;
-    pass(p, f->photo_sse, photos * sizeof *f->photo_sse);
-    pass(p, f->photo_n, photos * sizeof *f->photo_n);
+    pass(p, f->sums, photos * refine_squares(f) * sizeof *f->sums);
     pass(p, f->outliers.score, photos * outliers_cells(&f->outliers) * sizeof *f->outliers.score);
     pass(p, f->outliers.skip, photos * outliers_cells(&f->outliers));
     pass(p, f->pose_m, 12 * n * sizeof *f->pose_m);

@@ -10,8 +10,6 @@
 #include <math.h>
 #include <string.h>
 
-static const double HELD_FADES = 0.75; // weight of squares that were seen in the part before
-
 /* Adam: betas and eps of core/refine/README.md 1. */
 static const float BETA1 = 0.9f, BETA2 = 0.999f, EPS = 1e-15f;
 
@@ -109,26 +107,45 @@ static struct raster_input view_input(const struct refine *f, const struct camer
     return (struct raster_input){&f->s->g, cam, {b[0], b[1], b[2]}};
 }
 
+/* What is held out of photograph k and was compared. */
+static err_t note_sums(struct refine *f, int k, const struct loss_input *in)
+{
+    const int px = in->held_px, bands = px / TILE, across = f->squares;
+    const int x1 = (in->x + in->pic->w + px - 1) / px, y1 = (in->y + in->pic->h + px - 1) / px;
+    const int last = (in->y + in->pic->h + TILE - 1) / TILE;
+    struct held_sum *to = f->sums + (size_t)k * refine_squares(f);
+    err_t e = loss_gather(f->r->team, in, TILE, f->bands, (size_t)across * sizeof *f->bands);
+    for (int y = in->y / px; y < y1 && !e; y++)
+        for (int x = in->x / px; x < x1; x++) {
+            struct held_sum all = {0};
+            for (int b = y * bands; b < num_min((y + 1) * bands, last); b++) {
+                all.sse += f->bands[b * across + x].sse;
+                all.n += f->bands[b * across + x].n;
+            }
+            to[y * across + x] = all;
+        }
+    return e;
+}
+
 /* Loss of the rendered part of view i against photograph k. Adds to *out and to the gradients of
  * the photographs before. */
 static err_t compare_photo(struct refine *f, int i, int k, const struct loss_input *as,
                            struct loss_output *out)
 {
-    const double fades = as->photo_w > f->pic.w || as->photo_h > f->pic.h ? HELD_FADES : 0;
-    const size_t squares = (size_t)f->squares * (size_t)f->squares;
     struct loss_input li = *as;
     li.shift = f->v->log2t[k] - f->s->tone.mid_log2t;
     li.photo16 = pyramid_deep(&f->photos, k, f->level);
     li.photo = pyramid_planes(&f->photos, k, f->level);
     li.masked = pyramid_masked(&f->photos, k, f->level);
-    li.held = f->held + (size_t)i * squares;
+    li.held = f->held + (size_t)i * refine_squares(f);
     li.skip = outliers_skip(&f->outliers, k);
     struct loss_output one;
     err_t e = loss_run(f->r, &f->loss_work, &li, &one);
     if (e)
         return e;
-    f->photo_sse[k] = fades * f->photo_sse[k] + one.held_sse;
-    f->photo_n[k] = fades * f->photo_n[k] + (double)one.held_n;
+    e = note_sums(f, k, &li);
+    if (e)
+        return e;
     out->loss += one.loss;
     for (int p = 0; p < TONE_PARAMS; p++)
         out->tone[p] += one.tone[p];
@@ -171,6 +188,7 @@ static err_t compare_view(struct refine *f, int i, const struct part *part, cons
                             .y = part->y,
                             .held_px = f->held_px >> f->level,
                             .held_across = f->squares,
+                            .sums = f->bands,
                             .cell_px = f->outliers.px >> f->level,
                             .cells_across = f->outliers.across,
                             .excess = learns ? f->outliers.excess : NULL};
@@ -307,12 +325,13 @@ static float to_decibel(double mean_square)
 
 float refine_step_held_db(const struct refine *f)
 {
-    double sse = 0, n = 0;
-    for (int i = 0; i < f->v->n + f->v->n_more; i++) {
-        sse += f->photo_sse[i];
-        n += f->photo_n[i];
+    const size_t photos = (size_t)(f->v->n + f->v->n_more);
+    struct held_sum all = {0};
+    for (size_t i = 0; i < photos * refine_squares(f); i++) {
+        all.sse += f->sums[i].sse;
+        all.n += f->sums[i].n;
     }
-    return n > 0 ? to_decibel(sse / n) : 0.0f;
+    return all.n > 0 ? to_decibel(all.sse / all.n) : 0.0f;
 }
 
 err_t refine_step_measure(struct refine *f, float *db)

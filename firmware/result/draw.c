@@ -1,5 +1,6 @@
 #include "firmware/result/draw.h"
 
+#include "core/base/gaussians.h"
 #include "core/base/num.h"
 #include "core/photo/distort.h"
 #include "core/photo/shade.h"
@@ -37,17 +38,11 @@ struct extent draw_cover(const struct scene *s)
     return out;
 }
 
-/* As gaussians_init makes of it. */
-static int round_cap(int cap)
-{
-    return cap > 16 ? (cap + 15) / 16 * 16 : 16;
-}
-
 size_t draw_plan(int cap, int w, int h)
 {
     struct arena a = arena_counter();
     struct draw d;
-    return draw_init(&d, &a, round_cap(cap), w, h) ? SIZE_MAX : a.peak;
+    return draw_init(&d, &a, gaussians_cap(cap), w, h) ? SIZE_MAX : a.peak;
 }
 
 err_t draw_run(const struct run *r, struct draw *d, const struct scene *s, const struct camera *cam)
@@ -111,7 +106,7 @@ size_t draw_confidence_plan(int cap, int w, int h)
 {
     struct arena a = arena_counter();
     struct draw_confidence c;
-    return draw_confidence_init(&c, &a, round_cap(cap), w, h) ? SIZE_MAX : a.peak;
+    return draw_confidence_init(&c, &a, gaussians_cap(cap), w, h) ? SIZE_MAX : a.peak;
 }
 
 void draw_confidence_set(struct draw_confidence *c, const struct scene *s)

@@ -70,6 +70,12 @@ static bool is_skipped(int x, int y)
 
 static double frozen[3 * PX];
 
+/* Squared difference of what is held out, over black. */
+static double held_square(int i, double shown, double want)
+{
+    return pow(shown - (double)in.behind[i / PX] * (1 - (double)alpha[i % PX]) - want, 2);
+}
+
 /* Display value of the photograph; where it is left out, that of the picture. */
 static double ref_photo(int i)
 {
@@ -244,12 +250,12 @@ static void test_left_out(void **state)
             const double diff = frozen[i] - photo[i] / 255.0;
             mean[(y / CELL * 3 + i / PX) * ACROSS + x / CELL] += diff;
             n[cell] += i < PX;
-            sse += is_held(x, y) && !skip[cell] ? diff * diff : 0;
+            sse += is_held(x, y) && !skip[cell] ? held_square(i, frozen[i], photo[i] / 255.0) : 0;
             n_held += is_held(x, y) && !skip[cell];
             assert_true(!skip[cell] || work.d_radiance[i] == 0);
         }
-        assert_true(fabs(out.held_sse - sse) < 1e-4 * sse);
-        assert_int_equal(out.held_n, n_held);
+        assert_true(fabs(out.held.sse - sse) < 1e-4 * sse);
+        assert_true(out.held.n == n_held);
         for (int i = 0; i < 3 * CELLS; i++) {
             const int cell = i / (3 * ACROSS) * ACROSS + i % ACROSS;
             assert_true(fabs((double)excess[i] - mean[i] / n[cell]) < 1e-5);
@@ -279,12 +285,12 @@ static void test_masked(void **state)
         assert_int_equal(loss_run(&run, &work, &in, &out), OK);
         assert_true(fabs(out.loss - want_loss) < 1e-6);
         compare("radiance", work.d_radiance, want_radiance, 3 * PX, STEP_RADIANCE);
-        const double sse = out.held_sse;
+        const double sse = out.held.sse;
         assert_true(fabsf(excess[3 * ACROSS * 4 + 3]) < 1e-6f); // its cell is masked all over
         for (int i = 0; i < 3 * PX; i++)
             photo[i] = masked[i % PX] ? (uint8_t)(photo[i] + 99) : photo[i];
         assert_int_equal(loss_run(&run, &work, &in, &out), OK);
-        assert_true(out.held_sse == sse);
+        assert_true(out.held.sse == sse);
         compare("radiance", work.d_radiance, want_radiance, 3 * PX, STEP_RADIANCE);
         arena_free(&arena);
     }
@@ -341,18 +347,18 @@ static void test_deep(void **state)
     in.photo16 = deep;
     assert_int_equal(loss_run(&run, &work, &in, &out), OK);
     assert_true(fabs(out.loss - small.loss) < 1e-6);
-    assert_true(fabs(out.held_sse - small.held_sse) < 1e-5 * small.held_sse);
+    assert_true(fabs(out.held.sse - small.held.sse) < 1e-5 * small.held.sse);
     for (int i = 0; i < 3 * PX; i++)
         assert_true(fabsf(work.d_radiance[i] - before[i]) < 1e-6f);
     double sse = 0; // bits below the eighth count
     for (int i = 0; i < 3 * PX; i++) {
         deep[i] = (uint16_t)(deep[i] < 65408 ? deep[i] + 127 : deep[i]);
         if (is_held(i % PX % W, i % PX / W))
-            sse += pow((double)work.ldr[i] - deep[i] / 65535.0, 2);
+            sse += held_square(i, (double)work.ldr[i], deep[i] / 65535.0);
     }
     assert_int_equal(loss_run(&run, &work, &in, &out), OK);
-    assert_true(fabs(out.held_sse - sse) < 1e-5 * sse);
-    assert_true(fabs(out.held_sse - small.held_sse) > 1e-4 * sse);
+    assert_true(fabs(out.held.sse - sse) < 1e-5 * sse);
+    assert_true(fabs(out.held.sse - small.held.sse) > 1e-4 * sse);
     arena_free(&arena);
 }
 
@@ -387,9 +393,9 @@ static void test_part(void **state)
     in.held_across = ACROSS;
     assert_int_equal(loss_run(&run, &work, &in, &out), OK);
     assert_memory_equal(work.d_radiance, before, sizeof before);
-    assert_true(out.loss == alone.loss && out.held_sse == alone.held_sse);
-    assert_int_equal(out.held_n, alone.held_n);
-    assert_true(alone.held_n > 0);
+    assert_true(out.loss == alone.loss && out.held.sse == alone.held.sse);
+    assert_true(out.held.n == alone.held.n);
+    assert_true(alone.held.n > 0);
     arena_free(&arena);
 }
 
@@ -402,12 +408,48 @@ static void test_held_out(void **state)
     long n = 0;
     for (int i = 0; i < 3 * PX; i++)
         if (is_held(i % PX % W, i % PX / W)) {
-            sse += pow(frozen[i] - photo[i] / 255.0, 2);
+            sse += held_square(i, frozen[i], photo[i] / 255.0);
             n++;
             assert_float_equal(work.d_radiance[i], 0, 0);
         }
-    assert_int_equal(out.held_n, n);
-    assert_true(n > 100 && fabs(out.held_sse - sse) < 1e-4 * sse);
+    assert_true(out.held.n == (double)n);
+    assert_true(n > 100 && fabs(out.held.sse - sse) < 1e-4 * sse);
+    arena_free(&arena);
+}
+
+/* The same of each square and 16 rows; the picture is the lower right part of a photograph. */
+static void test_held_sums(void **state)
+{
+    (void)state;
+    enum { ACROSS = 1 + (W + 15) / 16, BANDS = 1 + (H + 15) / 16, CELLS = ACROSS * BANDS };
+    static uint8_t large[3 * (W + 16) * (H + 16)], all[CELLS];
+    static struct held_sum sums[CELLS];
+    double sse[CELLS] = {0};
+    int n[CELLS] = {0};
+    open_case(cpu_detect());
+    for (int i = 0; i < CELLS; i++) {
+        all[i] = i % 2 == 0;
+        sums[i] = (struct held_sum){-1, -1};
+    }
+    for (int i = 0; i < 3 * PX; i++) {
+        const int x = i % W + 16, y = i % PX / W + 16, cell = y / 16 * ACROSS + x / 16;
+        large[(i / PX * (H + 16) + y) * (W + 16) + x] = photo[i];
+        sse[cell] += all[cell] ? held_square(i, frozen[i], photo[i] / 255.0) : 0;
+        n[cell] += all[cell];
+    }
+    in.photo = large;
+    in.photo_w = W + 16;
+    in.photo_h = H + 16;
+    in.x = in.y = in.held_px = 16;
+    in.held = all;
+    in.held_across = ACROSS;
+    in.sums = sums;
+    assert_int_equal(loss_run(&run, &work, &in, &out), OK);
+    for (int i = 0; i < CELLS; i++) {
+        const bool beside = i < ACROSS || i % ACROSS == 0;
+        assert_true(sums[i].n == (beside ? -1 : n[i]));
+        assert_true(fabs(sums[i].sse - (beside ? -1 : sse[i])) <= 1e-4 * sse[i]);
+    }
     arena_free(&arena);
 }
 
@@ -422,7 +464,7 @@ static void extreme(int k)
     }
     in.shift = k & 1 ? 20 : -20;
     assert_int_equal(loss_run(&run, &work, &in, &out), OK);
-    assert_true(isfinite(out.loss) && isfinite(out.held_sse));
+    assert_true(isfinite(out.loss) && isfinite(out.held.sse));
     for (int i = 0; i < 3 * PX; i++)
         assert_true(isfinite(work.d_radiance[i]) && isfinite(work.d_alpha[i % PX]));
     for (int i = 0; i < TONE_PARAMS; i++)
@@ -454,7 +496,7 @@ int main(void)
         cmocka_unit_test(test_gradients), cmocka_unit_test(test_left_out),
         cmocka_unit_test(test_masked),    cmocka_unit_test(test_shared),
         cmocka_unit_test(test_deep),      cmocka_unit_test(test_part),
-        cmocka_unit_test(test_held_out),  cmocka_unit_test(test_extremes),
-        cmocka_unit_test(test_refuses)};
+        cmocka_unit_test(test_held_out),  cmocka_unit_test(test_held_sums),
+        cmocka_unit_test(test_extremes),  cmocka_unit_test(test_refuses)};
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

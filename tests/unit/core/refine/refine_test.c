@@ -45,7 +45,7 @@ static void test_keeps_best(void **state)
     (void)state;
     open_world(2, 0);
     gaussians_copy(&W.truth.g, 0, &W.start.g);
-    struct refine_report rep = refine(240, 0, true), again = refine(0, 0, true);
+    struct refine_report rep = refine(400, 0, true), again = refine(0, 0, true);
     print_message("  held-out %.3f dB, step %d of %d kept: %s\n", (double)rep.held_out_db[1],
                   rep.step_kept, rep.steps, rep.notes[rep.n_notes - 1]);
     assert_in_range(rep.step_kept, 1, rep.steps - 1);
@@ -131,6 +131,19 @@ static void test_parts(void **state)
     assert_true(rep[0].gaussians == rep[1].gaussians);
     print_message("  held-out %.2f -> %.2f dB\n", (double)rep[0].held_out_db[0],
                   (double)rep[0].held_out_db[1]);
+}
+
+/* What one photograph shows alone is not split to fit it. */
+static void test_guesses(void **state)
+{
+    (void)state;
+    for (int n = 1; n <= V; n += V - 1) {
+        open_world(2, 0);
+        W.v.n = W.start.n_views = n;
+        const struct refine_report rep = refine(240, 0, false);
+        assert_true((rep.gaussians > SIDE * SIDE) == (n > 1));
+        close_world();
+    }
 }
 
 static void test_no_steps(void **state)
@@ -343,7 +356,7 @@ static void test_plan(void **state)
     (void)state;
     open_world(2, 0);
     take_brackets(V);
-    struct refine_config cfg = {20, 2, CAP, 5, false, false, 2, 0, NULL, NULL};
+    struct refine_config cfg = {120, 2, CAP, 5, false, false, 2, 0, NULL, NULL};
     struct refine_report rep;
     struct arena exact;
     assert_int_equal(arena_init(&exact, "exact", refine_plan(&W.v, &cfg, 2)), OK);
@@ -376,13 +389,13 @@ static void test_begin(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_learns),        cmocka_unit_test(test_brackets),
-        cmocka_unit_test(test_outliers),      cmocka_unit_test(test_parts),
-        cmocka_unit_test(test_no_steps),      cmocka_unit_test(test_same_bytes),
-        cmocka_unit_test(test_bands),         cmocka_unit_test(test_align),
-        cmocka_unit_test(test_align_nothing), cmocka_unit_test(test_extremes),
-        cmocka_unit_test(test_cancel),        cmocka_unit_test(test_plan),
-        cmocka_unit_test(test_begin),         cmocka_unit_test(test_keeps_best),
-        cmocka_unit_test(test_time)};
+        cmocka_unit_test(test_learns),     cmocka_unit_test(test_brackets),
+        cmocka_unit_test(test_outliers),   cmocka_unit_test(test_parts),
+        cmocka_unit_test(test_guesses),    cmocka_unit_test(test_no_steps),
+        cmocka_unit_test(test_same_bytes), cmocka_unit_test(test_bands),
+        cmocka_unit_test(test_align),      cmocka_unit_test(test_align_nothing),
+        cmocka_unit_test(test_extremes),   cmocka_unit_test(test_cancel),
+        cmocka_unit_test(test_plan),       cmocka_unit_test(test_begin),
+        cmocka_unit_test(test_keeps_best), cmocka_unit_test(test_time)};
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
