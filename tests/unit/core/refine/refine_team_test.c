@@ -332,7 +332,7 @@ static void test_checkpoint(void **state)
 static void test_plan(void **state)
 {
     (void)state;
-    config.steps = 20;
+    config.steps = 120; // with a split
     open_start(false);
     open_mates(2);
     for (int i = 0; i < 2; i++) {
