@@ -47,13 +47,21 @@ static int round_of(int places)
     return places > ROUND_MIN ? places : ROUND_MIN;
 }
 
+/* Rounds after which splats may be split. */
+static int count_splits(int steps, int places, int levels)
+{
+    const int round = round_of(places), end = (int)(SPLIT_END * (float)steps);
+    int n = 0;
+    for (int step = round; step <= end; step += round)
+        n += pace_level(step - 1, steps, levels) < levels - 1 || levels == 1;
+    return n;
+}
+
 int refine_begin(const struct refine_config *cfg, int places)
 {
     float most = (float)cfg->gaussians_max, n = most;
-    const int round = round_of(places), end = (int)(SPLIT_END * (float)cfg->steps);
-    for (int step = round; step <= end && n > most / 2; step += round)
-        if (pace_level(step - 1, cfg->steps, cfg->levels) < cfg->levels - 1 || cfg->levels == 1)
-            n /= 1 + SPLIT_SHARE;
+    for (int k = count_splits(cfg->steps, places, cfg->levels); k > 0 && n > most / 2; k--)
+        n /= 1 + SPLIT_SHARE;
     return (int)fmaxf(n, most / 2);
 }
 
@@ -129,7 +137,8 @@ size_t refine_plan(const struct views *v, const struct refine_config *cfg, int t
         layout(&f, &a, threads))
         return SIZE_MAX;
     arena_step(&a, noise_plan(v));
-    arena_step(&a, confidence_need(cfg->gaussians_max));
+    if (count_splits(cfg->steps, v->n, f.levels) > 0)
+        arena_step(&a, confidence_need(cfg->gaussians_max));
     return a.peak;
 }
 
