@@ -133,6 +133,27 @@ static void test_parts(void **state)
                   (double)rep[0].held_out_db[1]);
 }
 
+static void keep_held_out(void *ctx, const char *stage, int done, int total, const char *note)
+{
+    (void)stage, (void)done, (void)total;
+    *(double *)ctx = strtod(note + strlen("held-out "), NULL);
+}
+
+/* Steps see random parts, over random backgrounds; the figure of a round is that of whole views. */
+static void test_rounds(void **state)
+{
+    (void)state;
+    double last = 0;
+    open_wide_world(2);
+    W.r.progress = keep_held_out;
+    W.r.progress_ctx = &last;
+    const struct refine_report rep = refine(100, 0, false);
+    print_message("  held-out %.2f dB in the last round, %.2f dB of whole views\n", last,
+                  (double)rep.held_out_db[1]);
+    assert_true(fabs(last - (double)rep.held_out_db[1]) < 0.2);
+    close_world();
+}
+
 /* What one photograph shows alone is not split to fit it. */
 static void test_guesses(void **state)
 {
@@ -389,13 +410,14 @@ static void test_begin(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_learns),     cmocka_unit_test(test_brackets),
-        cmocka_unit_test(test_outliers),   cmocka_unit_test(test_parts),
-        cmocka_unit_test(test_guesses),    cmocka_unit_test(test_no_steps),
-        cmocka_unit_test(test_same_bytes), cmocka_unit_test(test_bands),
-        cmocka_unit_test(test_align),      cmocka_unit_test(test_align_nothing),
-        cmocka_unit_test(test_extremes),   cmocka_unit_test(test_cancel),
-        cmocka_unit_test(test_plan),       cmocka_unit_test(test_begin),
-        cmocka_unit_test(test_keeps_best), cmocka_unit_test(test_time)};
+        cmocka_unit_test(test_learns),        cmocka_unit_test(test_brackets),
+        cmocka_unit_test(test_outliers),      cmocka_unit_test(test_parts),
+        cmocka_unit_test(test_rounds),        cmocka_unit_test(test_guesses),
+        cmocka_unit_test(test_no_steps),      cmocka_unit_test(test_same_bytes),
+        cmocka_unit_test(test_bands),         cmocka_unit_test(test_align),
+        cmocka_unit_test(test_align_nothing), cmocka_unit_test(test_extremes),
+        cmocka_unit_test(test_cancel),        cmocka_unit_test(test_plan),
+        cmocka_unit_test(test_begin),         cmocka_unit_test(test_keeps_best),
+        cmocka_unit_test(test_time)};
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
