@@ -68,6 +68,7 @@ struct far {
     int *n_regions;        // (n)
     bool *telling;         // (n) what is saturated there is brighter than most
     bool *black_tells;     // (n) what is black there is darker than most, and in other views, too
+    float black_level;     // log2 of what is as dark as BLACK, before the exposure of a view
     float darkest;         // log2 radiance below which the most sensitive view is black
     struct region sky;     // all that is sky
     bool black;            // some of it is a black backdrop
@@ -81,7 +82,7 @@ static struct colour mean_colour(const struct far *s, const uint8_t *rgb, int w,
     const int n = s->d->scale * s->d->scale;
     struct colour out = {.blown = 0};
     float all = 0;
-    const float dark = log2f(s->linear[1][BLACK]) - shift;
+    const float dark = s->black_level - shift;
     for (int c = 0; c < 3; c++) {
         float sum = 0, bright = 0;
         for (int k = 0; k < n; k++) {
@@ -123,7 +124,7 @@ static err_t read_view(void *ctx, int i, int worker)
     const bool shows = (float)n > LEAST * (float)extent_pixels(map);
     s->telling[i] =
         shows && log2f(s->linear[1][BLOWN]) - shift > num_quantile(sorted, n, ELSE) + TELLS;
-    const float dark = log2f(s->linear[1][BLACK]) - shift;
+    const float dark = s->black_level - shift;
     s->black_tells[i] =
         shows && dark < s->darkest + TELLS && dark < num_quantile(sorted, n, BRIGHT) - TELLS;
     return run_check(s->run, "far");
@@ -473,9 +474,10 @@ err_t far_run(const struct run *r, const struct views *v, const struct tonemap *
         response_tabulate(tone, &table);
         for (int k = 0; k < 3 * 256; k++)
             s.linear[k / 256][k % 256] = exp2f(table.x[k / 256][k % 256]);
+        s.black_level = log2f(s.linear[1][BLACK]);
         s.darkest = INFINITY;
         for (int i = 0; i < v->n; i++)
-            s.darkest = fminf(s.darkest, log2f(s.linear[1][BLACK]) - (v->log2t[i] - v->mid_log2t));
+            s.darkest = fminf(s.darkest, s.black_level - (v->log2t[i] - v->mid_log2t));
         e = pool_for(r->pool, v->n, read_view, &s);
     }
     if (!e)
