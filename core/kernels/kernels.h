@@ -14,7 +14,7 @@ struct tonemap_curve;
 enum {
     TILE = 16,        // px, edge of a raster tile (gsplat 1.4.0)
     SPLAT_BLOCK = 64, // splats per call of the projection kernels, at most
-    GRAD2D = 10,      // sums kept per splat and tile by tile_grad
+    GRAD2D = 11,      // sums kept per splat and tile by tile_grad
     SLOT = 12,     // floats from one tile's sums to the next, GRAD2D rounded up to 16-byte pieces
     POSE_GRAD = 16 // d/dR (9, row-major), d/dt (3), d/d(fx fy cx cy)
 };
@@ -27,6 +27,12 @@ enum {
 #define RASTER_ALPHA_MAX 0.999f
 #define RASTER_ALPHA_MIN (1.0f / 255.0f)
 #define RASTER_STOP 1e-4f
+/* core/splat/README.md 5: a splat is hidden in a picture where it is farther than RASTER_BEHIND
+ * times the depth at which transmittance falls below RASTER_FRONT, unless RASTER_SHOWN of its
+ * alpha passes. */
+#define RASTER_FRONT 0.5f
+#define RASTER_BEHIND 1.1f
+#define RASTER_SHOWN 0.1f
 /* Our guards: log radiance is clamped so that sums of radiance and their products stay finite; a
  * footprint beyond 1e9 px is dropped, because its determinant overflows. */
 #define RASTER_LOG_MAX 60.0f
@@ -76,6 +82,7 @@ struct tile {
     float *depth;    // (h, w) or NULL
     float *alpha;    // (h, w)
     float *trans;    // (h, w) final transmittance
+    float *front;    // (h, w) z where trans falls below RASTER_FRONT, else RASTER_FAR; or NULL
     int32_t *stop;   // (h, w) index in the list where the pixel became full; n if it never did
     /* for tile_grad */
     const float *d_radiance, *d_depth,
@@ -88,7 +95,8 @@ struct tile {
 typedef void tile_fn(const struct tile *t);
 
 /* Sums over the tile's pixels, per splat: v x, v y, v xx, v xy, v yy, v (v = d loss / d sigma,
- * x = u - pixel), d loss / d (r, g, b, z). Writes every slot of the list. */
+ * x = u - pixel), alpha (s - RASTER_SHOWN) with s = T if the splat is behind `front` and 1 else
+ * (negative: hidden), d loss / d (r, g, b, z). Writes every slot of the list. */
 typedef void tile_grad_fn(const struct tile *t);
 
 /* Slot of splat s for tile (tx, ty): its tiles inside the group are numbered row by row. */

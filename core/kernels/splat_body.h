@@ -355,7 +355,7 @@ MAP void grad_geom(const struct proj *o, const struct view_geom *v, const vf *su
     d->p[1] = dy * o->rz;
     vf scale = d_j00 * o->j00 + d_j02 * o->j02 + d_j11 * o->j11 +
                d_j12 * o->j12; // all J are proportional to 1/z
-    d->p[2] = sum[9] - (dx * x + dy * y + scale) * o->rz;
+    d->p[2] = sum[10] - (dx * x + dy * y + scale) * o->rz;
     vf out_x = v_sel(in_x, zero, d_cx), out_y = v_sel(in_y, zero, d_cy);
     d->intr[0] = du * x + (d_j00 * o->j00 + d_j02 * o->j02 - out_x * o->cx) / v_set(v->fx);
     d->intr[1] = dv * y + (d_j11 * o->j11 + d_j12 * o->j12 - out_y * o->cy) / v_set(v->fy);
@@ -403,7 +403,7 @@ static void project_grad(const struct gaussians *g, const struct view_geom *v, i
         for (int k = 0; k < GRAD2D; k++)
             sum[k] = v_sel(alive, v_load(sums + k * SPLAT_BLOCK), v_set(0.0f));
         grad_geom(&o, v, sum, &d);
-        grad_colour(g, v, &o, first + j, sum + 6, grad, d_m);
+        grad_colour(g, v, &o, first + j, sum + 7, grad, d_m);
         int lanes = count - j < LANES ? count - j : LANES;
         if (pose)
             grad_pose(&o, v, &d, d_m, lanes, pose);
@@ -429,7 +429,7 @@ static void project_grad(const struct gaussians *g, const struct view_geom *v, i
 
 /* Tile-local maps: TILE rows of TILE pixels. A pixel whose transmittance is negative is full. */
 struct tile_state {
-    float t[TILE * TILE], rgbz[4][TILE * TILE], stop[TILE * TILE];
+    float t[TILE * TILE], rgbz[4][TILE * TILE], stop[TILE * TILE], front[TILE * TILE];
 };
 
 /* A splat as the row loops read it. */
@@ -466,10 +466,12 @@ MAP vf tile_log2_alpha(const struct tile_splat *p, vf dx, float dy)
     return v_max(v_fnma(p->across * d, d, v_set(p->top - p->along * dy * dy)), v_set(-64.0f));
 }
 
+enum { WITH_DEPTH = 1, WITH_FRONT = 2 }; // maps that are wanted, known when compiled
+
 /* No branch on the pixels: a mispredicted one costs more than a row without hits.
  * returns: the pixels that became full. */
 MAP vm tile_row(const struct tile_splat *p, vf dx, float dy, struct tile_state *st, int at,
-                int depth)
+                int with)
 {
     vf log_alpha = tile_log2_alpha(p, dx, dy), t = v_load(st->t + at);
     vm hit = m_and(v_le(v_set(LOG2_ALPHA_MIN), log_alpha), v_lt(v_set(0.0f), t));
@@ -479,8 +481,12 @@ MAP vm tile_row(const struct tile_splat *p, vf dx, float dy, struct tile_state *
     vf w = v_sel(stop, v_set(0.0f), alpha * t);
     for (int c = 0; c < 3; c++)
         v_store(st->rgbz[c] + at, v_fma(w, p->rgb[c], v_load(st->rgbz[c] + at)));
-    if (depth)
+    if (with & WITH_DEPTH)
         v_store(st->rgbz[3] + at, v_fma(w, p->z, v_load(st->rgbz[3] + at)));
+    if (with & WITH_FRONT) {
+        vm front = m_andnot(v_lt(next, v_set(RASTER_FRONT)), v_lt(t, v_set(RASTER_FRONT)));
+        v_store(st->front + at, v_sel(front, p->z, v_load(st->front + at)));
+    }
     v_store(st->t + at, v_sel(stop, v_set(0.0f) - t, next));
     return stop;
 }
@@ -507,6 +513,7 @@ static void tile_start(const struct tile *t, struct tile_state *st)
             int inside = t->x0 + x < t->w && t->y0 + y < t->h;
             st->stop[y * TILE + x] = inside ? (float)t->n : 0.0f;
             st->t[y * TILE + x] = inside ? 1.0f : -1.0f;
+            st->front[y * TILE + x] = RASTER_FAR;
         }
 }
 
@@ -526,11 +533,13 @@ static void tile_finish(const struct tile *t, const struct tile_state *st)
                 t->depth[o] = st->rgbz[3][at];
             t->alpha[o] = 1.0f - trans;
             t->trans[o] = trans;
+            if (t->front)
+                t->front[o] = st->front[at];
             t->stop[o] = (int32_t)st->stop[at];
         }
 }
 
-MAP void tile_blend(const struct tile *t, int depth)
+MAP void tile_blend(const struct tile *t, int with)
 {
     struct tile_state st;
     tile_start(t, &st);
@@ -542,7 +551,7 @@ MAP void tile_blend(const struct tile *t, int depth)
         for (int y = p.y0; y <= p.y1; y++)
             for (int k = p.v0; k <= p.v1; k++)
                 stopped = m_or(stopped, tile_row(&p, v_set(p.u) - v_load(lane_index + k * LANES),
-                                                 p.v - (float)y, &st, y * TILE + k * LANES, depth));
+                                                 p.v - (float)y, &st, y * TILE + k * LANES, with));
         if (m_any(stopped) && !tile_note_stops(&st, i, t->n))
             break;
     }
@@ -551,8 +560,12 @@ MAP void tile_blend(const struct tile *t, int depth)
 
 static void tile(const struct tile *t)
 {
-    if (t->depth)
-        tile_blend(t, 1);
+    if (t->front && t->depth)
+        tile_blend(t, WITH_FRONT | WITH_DEPTH);
+    else if (t->front)
+        tile_blend(t, WITH_FRONT);
+    else if (t->depth)
+        tile_blend(t, WITH_DEPTH);
     else
         tile_blend(t, 0);
 }
@@ -560,7 +573,8 @@ static void tile(const struct tile *t)
 /* Backward state per pixel. rest: the part of dL/dT from later splats and the background. */
 struct grad_state {
     float t[TILE * TILE], stop[TILE * TILE], rest[TILE * TILE], d[4][TILE * TILE];
-    int top; // highest `stop` of the tile
+    float behind[TILE * TILE]; // depth from which splats are hidden
+    int top;                   // highest `stop` of the tile
 };
 
 static void grad_start(const struct tile *t, struct grad_state *st)
@@ -580,6 +594,7 @@ static void grad_start(const struct tile *t, struct grad_state *st)
             }
             st->d[3][at] = t->d_depth ? t->d_depth[o] : 0.0f;
             st->t[at] = t->trans[o];
+            st->behind[at] = RASTER_BEHIND * t->front[o];
             st->stop[at] = (float)t->stop[o];
             st->rest[at] = t->trans[o] * (back - (t->d_alpha ? t->d_alpha[o] : 0.0f));
             st->top = t->stop[o] > st->top ? t->stop[o] : st->top;
@@ -599,12 +614,14 @@ MAP void grad_row(const struct tile_splat *p, vf dx, float dy, struct grad_state
     for (int c = 0; c < (depth ? 4 : 3); c++) {
         vf d = v_load(st->d[c] + at);
         dot = v_fma(c < 3 ? p->rgb[c] : p->z, d, dot);
-        acc[6 + c] = v_fma(f, d, acc[6 + c]);
+        acc[7 + c] = v_fma(f, d, acc[7 + c]);
     }
     vf rest = v_load(st->rest + at);
     vf d_alpha = v_fnma(rest, inv, t * dot);
     v_store(st->rest + at, v_fma(f, dot, rest));
     v_store(st->t + at, t);
+    vm behind = v_lt(v_load(st->behind + at), p->z);
+    acc[6] = v_fnma(alpha, v_set(RASTER_SHOWN), acc[6] + v_sel(behind, f, alpha));
     vm free = m_and(hit, v_le(raw, v_set(RASTER_ALPHA_MAX)));
     vf d_sigma = v_sel(free, zero - raw * d_alpha, zero);
     vf x = d_sigma * dx, y = d_sigma * v_set(dy);

@@ -76,6 +76,8 @@ static void apply_adam(void *ctx, int first, int count, const float *grad, const
     const struct gaussians *g = &f->s->g;
     if (!f->splits_done)
         for (int i = 0; i < count; i++) {
+            if (seen[i] == 0)
+                continue;
             float gx = grad[i], gy = grad[SPLAT_BLOCK + i], gz = grad[2 * SPLAT_BLOCK + i],
                   big = -100;
             for (int k = 0; k < 3; k++)

@@ -83,7 +83,9 @@ err_t raster_init(struct raster *rs, struct arena *a, int cap, int w, int h, boo
     err_t e = alloc_forward(rs, a);
     if (e || !gradients)
         return e;
-    e = arena_alloc(a, rs->cap_pairs * SLOT, 4, &rs->slots);
+    e = arena_alloc(a, (size_t)w * (size_t)h, 4, &rs->front);
+    if (!e)
+        e = arena_alloc(a, rs->cap_pairs * SLOT, 4, &rs->slots);
     if (!e)
         e = arena_alloc(a, n, sizeof *rs->spans, &rs->spans);
     if (!e)
@@ -362,6 +364,7 @@ struct tile raster_tile(const struct raster *rs, const struct raster_input *in, 
                      .w = rs->view.w,
                      .h = rs->view.h,
                      .trans = rs->trans,
+                     .front = rs->front,
                      .stop = rs->stop,
                      .slots = rs->slots,
                      .gx0 = g->x0,

@@ -62,6 +62,7 @@ struct raster {
     int n_seen;
     struct view_geom view;
     float *trans;   // (h, w)
+    float *front;   // (h, w); NULL without gradients
     int32_t *stop;  // (h, w)
     float *slots;   // (cap_pairs, SLOT); NULL without gradients
     float *sums;    // (cap, SLOT)
@@ -102,7 +103,8 @@ struct render_grad {
 };
 
 /* Receives the gradient of splats [first, first + count), count <= SPLAT_BLOCK.
- * grad: (planes of the degree, SPLAT_BLOCK); seen: 1 where the splat was drawn, else 0.
+ * grad: (planes of the degree, SPLAT_BLOCK); seen: 1 where the splat was drawn and not hidden
+ * (core/splat/README.md 5), else 0.
  * thread: called at the same time for different blocks, each exactly once. */
 typedef void raster_sink_fn(void *ctx, int first, int count, const float *grad, const float *seen);
 

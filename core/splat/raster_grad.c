@@ -140,9 +140,11 @@ static err_t chain_chunk(void *ctx, int chunk, int worker)
         memset(seen, 0, sizeof seen);
         for (int i = 0; i < count; i++) {
             const struct splat2d *s = &rs->splats[first + i];
-            seen[i] = s->x1 >= s->x0 ? 1.0f : 0.0f;
-            for (int k = 0; k < GRAD2D && seen[i] != 0.0f; k++)
-                sums[k * SPLAT_BLOCK + i] = rs->sums[(size_t)(first + i) * SLOT + (size_t)k];
+            const float *sum = rs->sums + (size_t)(first + i) * SLOT;
+            const bool drawn = s->x1 >= s->x0;
+            seen[i] = drawn && sum[6] >= 0 ? 1.0f : 0.0f;
+            for (int k = 0; k < GRAD2D && drawn; k++)
+                sums[k * SPLAT_BLOCK + i] = sum[k];
         }
         j->r->k->project_grad(j->in->g, &rs->view, first, count, sums, grad, pose);
         j->sink->fn(j->sink->ctx, first, count, grad, seen);

@@ -416,6 +416,20 @@ static void report_team(const struct job_result *j, struct report *rep)
     report_close(rep);
 }
 
+static void tell_far(const struct job_result *j, struct report *rep)
+{
+    char text[160];
+    const double far = 100 * ((double)j->sky + (double)j->backdrop);
+    if (far <= 0)
+        return;
+    int n = snprintf(text, sizeof text, "%.1f %% of the pixels see %s: put far behind all else",
+                     far, j->sky > j->backdrop ? "sky" : "a black backdrop");
+    if (j->sky_filled > 0)
+        snprintf(text + n, sizeof text - (size_t)n,
+                 "; %d Gaussians fill sky that no photograph shows", j->sky_filled);
+    report_text(rep, NULL, text);
+}
+
 /* Decisions and error of refinement, on squares of the input views that it did not learn from. */
 static void report_making(const struct job_result *j, struct report *rep)
 {
@@ -437,6 +451,7 @@ static void report_making(const struct job_result *j, struct report *rep)
     if (j->budget[0])
         report_text(rep, NULL, j->budget);
     shading_tell(j, rep);
+    tell_far(j, rep);
     if (j->completed > 0) {
         char text[128];
         snprintf(text, sizeof text,

@@ -75,6 +75,8 @@ struct job_result {
     char sizing[160];              // how large pictures were chosen, a sentence
     char budget[128];              // what was chosen to end in time; "": nothing
     float completed;               // share of the depth that is the completion branch's
+    float sky, backdrop;           // shares of the depth that see sky, and black far behind
+    int sky_filled;                // splats of sky that no photograph shows
     struct scene scene;            // in keep
     struct refine_report refine;
     struct confidence_advice advice; // if scene.confidence is known and not measured_only

@@ -474,6 +474,17 @@ static err_t complete_depth(struct start *s)
     return e;
 }
 
+static void note_far(const struct depthmaps *d, struct job_result *out)
+{
+    size_t n = 0, far[FAR_BLACK + 1] = {0};
+    for (int i = 0; i < d->n; i++)
+        n += extent_pixels(&d->extent[i]);
+    for (size_t i = 0; d->far && i < n; i++)
+        far[d->far[i]]++;
+    out->sky = (float)far[FAR_SKY] / (float)n;
+    out->backdrop = (float)far[FAR_BLACK] / (float)n;
+}
+
 /* A guess is said to be one already. Its time counts as that of the cameras: that of the sweep
  * tells how fast the machine is. */
 static err_t check_places(struct start *s)
@@ -505,6 +516,8 @@ err_t start_stereo(struct start *s)
         e = check_places(s);
     if (!e && s->recipe->complete)
         e = complete_depth(s);
+    if (!e)
+        note_far(&s->depth, out);
     if (!e && needs_refit(&out->views)) {
         e = response_refit_run(r, &out->views, &s->depth, &merged->tone);
         out->scene.tone = merged->tone;
@@ -625,8 +638,10 @@ static err_t place_seeds(struct start *s)
     struct gaussians seeds;
     announce_stage(s->run, "seed");
     err_t e = seed_run(s->run, &in, max, &seeds);
+    const int sure = seeds.n;
     if (!e)
         e = gap_fill(s->run, &shell, &seeds, max);
+    out->sky_filled = seeds.n - sure;
     response_mean(v, tone, out->scene.background);
     if (!e)
         gaussians_copy(&seeds, 0, &out->scene.g); // refinement adds bands where they are asked for

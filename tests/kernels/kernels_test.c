@@ -490,6 +490,7 @@ static void tile_make(int size, enum pattern pattern)
     tiles.t.depth = size % 4 ? trial_floats(PX) : NULL;
     tiles.t.alpha = trial_floats(PX);
     tiles.t.trans = trial_floats(PX);
+    tiles.t.front = size % 3 ? trial_floats(PX) : NULL;
     tiles.t.stop = guard_alloc(PX, sizeof *tiles.t.stop);
 }
 
@@ -515,7 +516,7 @@ static void put_map(struct outcome *o, const char *what, const float *map, doubl
  * shown none. */
 static void tile_keep(struct outcome *o)
 {
-    static float stop[PX];
+    static float stop[PX], front[PX];
     const struct tile *t = &tiles.t;
     for (int c = 0; c < 3; c++)
         put_map(o, "radiance", t->radiance + c * PX, 1e-5);
@@ -530,6 +531,13 @@ static void tile_keep(struct outcome *o)
         if (!guard_is_canary(stop + i))
             stop[i] = (float)t->stop[i];
     put_map(o, "stop", stop, 0);
+    if (!t->front)
+        return;
+    memcpy(front, t->front, sizeof front);
+    for (int i = 0; i < PX; i++) // so far a depth would hide the error of all others
+        if (front[i] == RASTER_FAR)
+            front[i] = -1;
+    put_map(o, "front", front, 1e-6);
 }
 
 static void tile_grad_make(int size, enum pattern pattern)
@@ -537,6 +545,7 @@ static void tile_grad_make(int size, enum pattern pattern)
     struct kernels c;
     kernels_init(&c, 0);
     tile_make(size, pattern);
+    tiles.t.front = trial_floats(PX);
     c.tile(&tiles.t);
     tiles.t.d_radiance = trial_random(3 * PX, -1, 1);
     tiles.t.d_depth = size % 4 ? trial_random(PX, -0.1, 0.1) : NULL;

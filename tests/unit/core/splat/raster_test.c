@@ -505,6 +505,41 @@ static void test_extremes(void **state)
     each_isa(scene_rotations, "degenerate rotations", 1e-4);
 }
 
+/* A splat is hidden where a distinctly nearer one lets less than a tenth of it through; its
+ * gradient is that of the picture all the same. */
+static void test_hidden(void **state)
+{
+    (void)state;
+    const struct {
+        double x, z; // of a small splat
+        float front; // logit of a large one at x = 0, z = 1
+        float seen;
+    } cases[] = {
+        {0, 2, 6, 0},  {0, 1.05, 6, 1}, {.45, 2, 6, 1},
+        {0, 2, -1, 1}, {0, .5, 6, 1},   {0, 2, 1.6f, 1},
+    };
+    for (int m = next_isa(-1); m < N_MASKS; m = next_isa(m))
+        for (size_t k = 0; k < sizeof cases / sizeof *cases; k++) {
+            float pose[POSE_GRAD], bg[3];
+            rig_open(2, 0, masks[m]);
+            random_scene(2, 0);
+            place_splat(0, 0, 0, 1);
+            place_splat(1, cases[k].x, 0, cases[k].z);
+            for (int i = 0; i < 3; i++) {
+                R.g.plane[G_LOG_SCALE + i][0] = (float)log(.2);
+                R.g.plane[G_LOG_SCALE + i][1] = (float)log(.02);
+            }
+            R.g.plane[G_LOGIT][0] = cases[k].front;
+            R.g.plane[G_LOGIT][1] = 2;
+            draw();
+            random_weights();
+            backward(pose, bg);
+            assert_true(seen_all[0] == 1 && seen_all[1] == cases[k].seen);
+            assert_true(grads[G_SH][1] != 0);
+            rig_close();
+        }
+}
+
 /* Lists that do not fit the planned memory: the picture is made in groups and keeps every bit. */
 static void test_groups(void **state)
 {
@@ -578,10 +613,13 @@ static void test_refuses(void **state)
 
 int main(void)
 {
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_equals_reference), cmocka_unit_test(test_gradients),
-        cmocka_unit_test(test_behind),           cmocka_unit_test(test_extremes),
-        cmocka_unit_test(test_groups),           cmocka_unit_test(test_threads_same_bytes),
-        cmocka_unit_test(test_refuses)};
+    const struct CMUnitTest tests[] = {cmocka_unit_test(test_equals_reference),
+                                       cmocka_unit_test(test_gradients),
+                                       cmocka_unit_test(test_behind),
+                                       cmocka_unit_test(test_hidden),
+                                       cmocka_unit_test(test_extremes),
+                                       cmocka_unit_test(test_groups),
+                                       cmocka_unit_test(test_threads_same_bytes),
+                                       cmocka_unit_test(test_refuses)};
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
