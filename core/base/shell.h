@@ -13,7 +13,8 @@ struct shell {
 /* SHELL_FAR times as far from the middle as the farthest camera: from it to the middle a direction
  * changes by 0.2 degrees; viewers that sort by 16 bits of depth still tell apart what is near. */
 #define SHELL_FAR 300.0f
-#define SHELL_INSIDE 0.4f // of the depth of the shell, at most: what is not on it
+#define SHELL_OPACITY 0.98f // of a splat on it: behind it there is nothing
+#define SHELL_INSIDE 0.4f   // of the depth of the shell, at most: what is not on it
 
 struct shell shell_of(const struct camera *cams, int n);
 

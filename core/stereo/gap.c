@@ -17,7 +17,6 @@ static const float STEP = 0.0123f;  // rad, about a cell
 static const float REACH = 0.14f;   // rad, 8 degrees
 static const float COVERS = 1.2f;   // standard deviations
 static const float WIDTH = 1;       // standard deviation per step
-static const float OPACITY = 0.98f; // behind it there is nothing
 static const float LARGEST = 0.35f; // rad, a splat that covers more is cut there
 
 struct cell {
@@ -145,7 +144,7 @@ static void add_splat(const struct shell *shell, const float *d, const float *co
         g->plane[G_SH + k][i] = colour[k];
     }
     g->plane[G_QUAT][i] = 1;
-    g->plane[G_LOGIT][i] = (float)num_logit((double)OPACITY);
+    g->plane[G_LOGIT][i] = (float)num_logit((double)SHELL_OPACITY);
 }
 
 static err_t layout(struct arena *a, struct cell **cells)

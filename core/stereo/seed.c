@@ -38,7 +38,6 @@ static const float RETREAT = 0.94f;   // factor on inverse depth of one step
 static const float WIDTH = 0.55f;     // standard deviation per spacing
 static const float SKY_PRIOR = 0.02f; // weight of the mean radiance of the shell
 static const float FAR_WIDTH = 0.8f;  // of the shell, behind which there is nothing
-static const float FAR_OPACITY = 0.98f;
 static const float THICKNESS = 0.15f; // standard deviation across the surface per spacing
 static const float TILT_MIN = 0.25f;  // cosine of the steepest surface
 static const float CLEAR = 4.0f;      // standard deviations around a camera where nothing is,
@@ -66,7 +65,7 @@ struct seed {
     struct response_table table; // of the response
     float linear[3][256];        // 2^table.x
     struct frame *frame;         // (n)
-    float *open;                 // (n) distance from a camera where nobody guesses
+    float *open;                 // (n) distance from a camera where hardly anything is
     int *order;                  // (n) views, best first
     float *score;                // (n)
     uint8_t *mark;               // (maps)
@@ -372,14 +371,10 @@ static struct surface lay_out(const struct frame *f, const struct patch *p)
     return o;
 }
 
-/* Whether the camera stands in the splat, or nearer to it than `open`. */
-static bool is_inside(const struct frame *f, const struct surface *o, float open)
+static float distance_to(const struct frame *f, const float *x)
 {
-    const float reach = fmaxf(o->reach, open);
-    float square = 0.0f;
-    for (int i = 0; i < 3; i++)
-        square += (o->x[i] - f->centre[i]) * (o->x[i] - f->centre[i]);
-    return square < reach * reach;
+    const float d[3] = {x[0] - f->centre[0], x[1] - f->centre[1], x[2] - f->centre[2]};
+    return sqrtf(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]);
 }
 
 /* What view j says of a point of the splat: 1 it sees a surface there, -1 it sees through it, 0 it
@@ -420,19 +415,25 @@ static bool is_in_the_way(const struct seed *s, const struct patch *p, int j,
 
 /* Whether another camera stands in the splat, or other views see through it and no more of them see
  * a surface there: wrong matches of two views confirm each other, and a third one contradicts them.
- * A guess holds where they are as many. */
+ * Those just before the cameras on the other side of a thing often have no third: there two are not
+ * enough. A guess holds where they are as many. */
 static bool is_refuted(const struct seed *s, const struct patch *p, const struct surface *o)
 {
     int seen = 0, through = 0;
+    bool open = false;
     for (int j = 0; j < s->in->views->n; j++) {
         if (j == p->view)
             continue;
-        if (is_inside(&s->frame[j], o, p->sure ? 0 : s->open[j]))
+        const float away = distance_to(&s->frame[j], o->x);
+        if (away < o->reach)
             return true;
+        open = open || away < s->open[j];
         const int verdict = verdict_of(s, p, j, o->x);
         seen += verdict > 0;
         through += verdict < 0 || (!p->sure && verdict == 0 && is_in_the_way(s, p, j, o));
     }
+    if (open && (!p->sure || seen < 2))
+        return true;
     return seen < through || (p->sure && seen == through && through > 0);
 }
 
@@ -471,7 +472,7 @@ static void emit_splat(struct seed *s, struct patch *p)
     g->n++;
     const float wide = far ? FAR_WIDTH * o.width : WIDTH * o.width;
     const float scale[3] = {wide / o.cosine, wide, THICKNESS * o.width};
-    const float opacity = far ? FAR_OPACITY : p->sure ? 0.85f : 0.6f;
+    const float opacity = far ? SHELL_OPACITY : p->sure ? 0.85f : 0.6f;
     for (int k = 0; k < 3; k++) {
         g->plane[G_MU + k][i] = o.x[k];
         g->plane[G_LOG_SCALE + k][i] = logf(scale[k]);
