@@ -96,7 +96,8 @@ typedef void tile_fn(const struct tile *t);
 
 /* Sums over the tile's pixels, per splat: v x, v y, v xx, v xy, v yy, v (v = d loss / d sigma,
  * x = u - pixel), alpha (s - RASTER_SHOWN) with s = T if the splat is behind `front` and 1 else
- * (negative: hidden), d loss / d (r, g, b, z). Writes every slot of the list. */
+ * (negative: hidden; full pixels add nothing), d loss / d (r, g, b, z). Writes every slot of the
+ * list. */
 typedef void tile_grad_fn(const struct tile *t);
 
 /* Slot of splat s for tile (tx, ty): its tiles inside the group are numbered row by row. */
