@@ -422,11 +422,12 @@ static void tell_far(const struct job_result *j, struct report *rep)
     const double far = 100 * ((double)j->sky + (double)j->backdrop);
     if (far <= 0)
         return;
-    int n = snprintf(text, sizeof text, "%.1f %% of the pixels see %s: put far behind all else",
-                     far, j->sky > j->backdrop ? "sky" : "a black backdrop");
+    int n =
+        snprintf(text, sizeof text, "%.1f %% of the pixels look like %s: put far behind all else",
+                 far, j->sky > j->backdrop ? "sky" : "a black backdrop");
     if (j->sky_filled > 0)
         snprintf(text + n, sizeof text - (size_t)n,
-                 "; %d Gaussians fill sky that no photograph shows", j->sky_filled);
+                 "; %d Gaussians fill it where no photograph shows it", j->sky_filled);
     report_text(rep, NULL, text);
 }
 
