@@ -14,7 +14,10 @@ struct tonemap_curve;
 enum {
     TILE = 16,        // px, edge of a raster tile (gsplat 1.4.0)
     SPLAT_BLOCK = 64, // splats per call of the projection kernels, at most
-    GRAD2D = 11,      // sums kept per splat and tile by tile_grad
+    GRAD2D = 11,      // sums kept per splat and tile by tile_grad, in the order of tile_grad_fn
+    GRAD_SHOWN = 6,
+    GRAD_RGB = 7,
+    GRAD_Z = 10,
     SLOT = 12,     // floats from one tile's sums to the next, GRAD2D rounded up to 16-byte pieces
     POSE_GRAD = 16 // d/dR (9, row-major), d/dt (3), d/d(fx fy cx cy)
 };

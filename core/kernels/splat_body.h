@@ -355,7 +355,7 @@ MAP void grad_geom(const struct proj *o, const struct view_geom *v, const vf *su
     d->p[1] = dy * o->rz;
     vf scale = d_j00 * o->j00 + d_j02 * o->j02 + d_j11 * o->j11 +
                d_j12 * o->j12; // all J are proportional to 1/z
-    d->p[2] = sum[10] - (dx * x + dy * y + scale) * o->rz;
+    d->p[2] = sum[GRAD_Z] - (dx * x + dy * y + scale) * o->rz;
     vf out_x = v_sel(in_x, zero, d_cx), out_y = v_sel(in_y, zero, d_cy);
     d->intr[0] = du * x + (d_j00 * o->j00 + d_j02 * o->j02 - out_x * o->cx) / v_set(v->fx);
     d->intr[1] = dv * y + (d_j11 * o->j11 + d_j12 * o->j12 - out_y * o->cy) / v_set(v->fy);
@@ -403,7 +403,7 @@ static void project_grad(const struct gaussians *g, const struct view_geom *v, i
         for (int k = 0; k < GRAD2D; k++)
             sum[k] = v_sel(alive, v_load(sums + k * SPLAT_BLOCK), v_set(0.0f));
         grad_geom(&o, v, sum, &d);
-        grad_colour(g, v, &o, first + j, sum + 7, grad, d_m);
+        grad_colour(g, v, &o, first + j, sum + GRAD_RGB, grad, d_m);
         int lanes = count - j < LANES ? count - j : LANES;
         if (pose)
             grad_pose(&o, v, &d, d_m, lanes, pose);
@@ -614,14 +614,14 @@ MAP void grad_row(const struct tile_splat *p, vf dx, float dy, struct grad_state
     for (int c = 0; c < (depth ? 4 : 3); c++) {
         vf d = v_load(st->d[c] + at);
         dot = v_fma(c < 3 ? p->rgb[c] : p->z, d, dot);
-        acc[7 + c] = v_fma(f, d, acc[7 + c]);
+        acc[GRAD_RGB + c] = v_fma(f, d, acc[GRAD_RGB + c]);
     }
     vf rest = v_load(st->rest + at);
     vf d_alpha = v_fnma(rest, inv, t * dot);
     v_store(st->rest + at, v_fma(f, dot, rest));
     v_store(st->t + at, t);
     vm behind = v_lt(v_load(st->behind + at), p->z);
-    acc[6] = v_fnma(alpha, v_set(RASTER_SHOWN), acc[6] + v_sel(behind, f, alpha));
+    acc[GRAD_SHOWN] = v_fnma(alpha, v_set(RASTER_SHOWN), acc[GRAD_SHOWN] + v_sel(behind, f, alpha));
     vm free = m_and(hit, v_le(raw, v_set(RASTER_ALPHA_MAX)));
     vf d_sigma = v_sel(free, zero - raw * d_alpha, zero);
     vf x = d_sigma * dx, y = d_sigma * v_set(dy);

@@ -142,7 +142,7 @@ static err_t chain_chunk(void *ctx, int chunk, int worker)
             const struct splat2d *s = &rs->splats[first + i];
             const float *sum = rs->sums + (size_t)(first + i) * SLOT;
             const bool drawn = s->x1 >= s->x0;
-            seen[i] = drawn && sum[6] >= 0 ? 1.0f : 0.0f;
+            seen[i] = drawn && sum[GRAD_SHOWN] >= 0 ? 1.0f : 0.0f;
             for (int k = 0; k < GRAD2D && drawn; k++)
                 sums[k * SPLAT_BLOCK + i] = sum[k];
         }
