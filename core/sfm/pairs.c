@@ -3,8 +3,8 @@
  * one pair that was found shows the others. Each pair writes only its own matches.
  * Pairs that are sure connect views; the roll between connected views is known from them, so that
  * an unsure pair is compared in turns that are near it only, and not at all where it is upright.
- * Pairs of views that are not connected are compared in all turns. What is still unsure then, of a
- * view with few sure pairs, is compared with stretched views. */
+ * Pairs of views that are not connected are compared in all turns. What is still unsure then, of
+ * views that sure pairs connect by way of one view at most, is compared with stretched views. */
 #include "core/sfm/pairs.h"
 
 #include "core/base/num.h"
@@ -15,7 +15,7 @@
 #include <string.h>
 
 enum {
-    WELL = 2,   // sure pairs of a view, from which on others of it are not stretched
+    NOBODY = -1,
     ALIKE = 16, // views that look alike, which each of many is compared with
     AFTER = 3,  // views after it, the same
     COMMON = 8  // views that have sure pairs with the same ones, the same
@@ -110,8 +110,8 @@ static err_t tilt_view(void *ctx, int i, int worker)
     struct work *w = ctx;
     struct pairs *s = w->s;
     (void)worker;
-    for (int k = 0; k < s->n_isolated; k++) {
-        if (s->pair[s->isolated[k]].b != i)
+    for (int k = 0; k < s->n; k++) {
+        if (!s->isolated[k] || s->pair[k].b != i)
             continue;
         corner_tilt(s->views.view + i);
         break;
@@ -273,23 +273,44 @@ static err_t turn_pair(void *ctx, int i, int worker)
     return e;
 }
 
-static bool is_isolated(const struct pairs *s, const struct pair *p)
+/* s->tree: the part of each view in the graph of sure pairs without view x. */
+static void find_parts(struct pairs *s, int x)
 {
-    int a = 0, b = 0;
-    for (int i = 0; i < s->n; i++) {
-        const struct pair *c = s->pair + i;
-        a += c->agree >= PAIR_SURE && (c->a == p->a || c->b == p->a);
-        b += c->agree >= PAIR_SURE && (c->a == p->b || c->b == p->b);
+    for (int i = 0; i < s->views.n; i++)
+        s->tree[i] = i;
+    for (int k = 0; k < s->n; k++) {
+        const struct pair *c = s->pair + k;
+        const int from = s->tree[c->b], to = s->tree[c->a];
+        if (c->agree < PAIR_SURE || c->a == x || c->b == x || from == to)
+            continue;
+        for (int i = 0; i < s->views.n; i++)
+            s->tree[i] = s->tree[i] == from ? to : s->tree[i];
     }
-    return p->agree < PAIR_SURE && num_min(a, b) < WELL;
 }
 
+/* Whether a third view has sure pairs with both. */
+static bool is_shared(const struct pairs *s, const struct pair *c)
+{
+    for (int x = 0; x < s->views.n; x++)
+        if (x != c->a && x != c->b && is_sure(s, c->a, x) && is_sure(s, c->b, x))
+            return true;
+    return false;
+}
+
+/* Unsure pairs of views that no sure pairs connect, or only by way of one view; sure pairs that no
+ * third view shares. */
 static void choose_isolated(struct pairs *s)
 {
-    s->n_isolated = 0;
-    for (int i = 0; i < s->n; i++)
-        if (is_isolated(s, s->pair + i))
-            s->isolated[s->n_isolated++] = i;
+    for (int k = 0; k < s->n; k++)
+        s->isolated[k] = s->pair[k].agree >= PAIR_SURE && !is_shared(s, s->pair + k);
+    for (int x = NOBODY; x < s->views.n; x++) {
+        find_parts(s, x);
+        for (int k = 0; k < s->n; k++) {
+            const struct pair *c = s->pair + k;
+            s->isolated[k] = s->isolated[k] || (c->agree < PAIR_SURE && c->a != x && c->b != x &&
+                                                s->tree[c->a] != s->tree[c->b]);
+        }
+    }
 }
 
 /* Pair i, if it is isolated. */
@@ -298,9 +319,8 @@ static err_t tilt_pair(void *ctx, int i, int worker)
     struct work *w = ctx;
     const struct pairs *s = w->s;
     err_t e = run_check(w->r, "matching");
-    for (int k = 0; k < s->n_isolated && s->isolated[k] <= i && !e; k++)
-        if (s->isolated[k] == i)
-            pair_tilt(&s->views, &s->rooms[worker].pair, s->pair + i);
+    if (!e && s->isolated[i])
+        pair_tilt(&s->views, &s->rooms[worker].pair, s->pair + i);
     return e;
 }
 

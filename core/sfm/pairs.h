@@ -24,7 +24,7 @@ struct pairs {
     int *near;                 // (views, some) that look alike
     int *tree;                 // (views) number of the part that a view is connected with
     float *roll;               // (views) radians from x to y, among those that are connected
-    int n_isolated, *isolated; // (cap) pairs that are compared with stretched views
+    bool *isolated;            // (cap) pairs that are compared with stretched views
     struct pairs_room *rooms;  // (workers)
 };
 

@@ -333,6 +333,36 @@ static void test_far_apart(void **state)
     close_world(&w);
 }
 
+/* Tracks seen from views of both groups: 0 .. 2 and 3 .. 5. */
+static int count_bridges(const struct match_tracks *t)
+{
+    int sum = 0;
+    for (int i = 0, end; i < t->n; i = end) {
+        int from[2] = {0, 0};
+        for (end = i; end < t->n && t->obs[end].track == t->obs[i].track; end++)
+            from[t->obs[end].view / 3]++;
+        sum += from[0] && from[1];
+    }
+    return sum;
+}
+
+/* Each view has two alike beside it; the groups are as far apart as views above. */
+static void test_groups_far_apart(void **state)
+{
+    struct world w;
+    (void)state;
+    open_world(&w, 6, 2);
+    for (int i = 0; i < 6; i++) {
+        place_camera(&w, i, i < 3 ? -0.05 * i : 1.1 + 0.05 * (i % 3), 1 + 0.3 * (i / 3));
+        photograph(&w, i, 5000);
+    }
+    struct match_tracks t = find(&w, NULL);
+    print_message("%d tracks from both sides\n", count_bridges(&t));
+    assert_true(count_bridges(&t) >= 100);
+    assert_true(rate_tracks(&w, &t).good >= 0.9);
+    close_world(&w);
+}
+
 static void test_roll(void **state)
 {
     /* in the last, the roll of the outer two follows from those of their pairs with the middle */
@@ -687,6 +717,7 @@ int main(void)
         cmocka_unit_test(test_wide_turns_and_noise),
         cmocka_unit_test(test_scale),
         cmocka_unit_test(test_far_apart),
+        cmocka_unit_test(test_groups_far_apart),
         cmocka_unit_test(test_roll),
         cmocka_unit_test(test_shift),
         cmocka_unit_test(test_nothing_to_see),
