@@ -40,7 +40,9 @@ static const float SPLIT_NOISE_DB = 6.0f; // no more splats within this of the n
 static const float LEVEL_NOISE_DB = 6.0f; // the mean of four pixels has half of their noise
 static const float BAND_GAIN_DB =
     0.05f; // least gain of a band: removing any trained band costs a little
-static const float STALL_DB = 0.01f; // a round that gains less does not count as progress
+static const float START_LOGIT = 0.0f;  // most of the first step
+static const float START_WIDER = 0.18f; // of ln deviation, the same
+static const float STALL_DB = 0.01f;    // a round that gains less does not count as progress
 
 static int round_of(int places)
 {
@@ -454,13 +456,28 @@ static err_t end_round(struct refine *f, int round)
     return OK;
 }
 
+/* What hides others learns alone, and what its neighbours do not reach tears: splats start half
+ * open and wide. */
+static void soften(struct gaussians *g)
+{
+    for (int i = 0; i < g->n; i++) {
+        g->plane[G_LOGIT][i] = fminf(g->plane[G_LOGIT][i], START_LOGIT);
+        for (int k = 0; k < 3; k++)
+            g->plane[G_LOG_SCALE + k][i] += START_WIDER;
+    }
+}
+
 /* What is known before the first step. */
 static err_t begin_steps(struct refine *f)
 {
     err_t e = noise_run(f->r, f->v, &f->noise_db);
     if (!e)
         e = limit_steps(f);
-    return e ? e : refine_step_measure(f, &f->rep->held_out_db[0]);
+    if (!e)
+        e = refine_step_measure(f, &f->rep->held_out_db[0]);
+    if (!e && f->steps > 0)
+        soften(&f->s->g);
+    return e;
 }
 
 /* Errors of pictures of another size are not comparable, and parts come round slowly. */

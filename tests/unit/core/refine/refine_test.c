@@ -159,7 +159,7 @@ static void test_rounds(void **state)
     open_wide_world(2);
     W.r.progress = keep_held_out;
     W.r.progress_ctx = &last;
-    const struct refine_report rep = refine(100, 0, false);
+    const struct refine_report rep = refine(150, 0, false);
     print_message("  held-out %.2f dB in the last round, %.2f dB of whole views\n", last,
                   (double)rep.held_out_db[1]);
     assert_true(fabs(last - (double)rep.held_out_db[1]) < 0.2);
