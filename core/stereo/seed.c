@@ -35,7 +35,7 @@ enum {
 static const float DETAIL = 0.06f;    // relative contrast at which a block is cut, first try
 static const float FLAT = 0.006f;     // relative distance of inverse depths from a plane, first try
 static const float RETREAT = 0.94f;   // factor on inverse depth of one step
-static const float WIDTH = 0.55f;     // standard deviation per spacing
+static const float WIDTH = 0.46f;     // standard deviation per spacing
 static const float SKY_PRIOR = 0.02f; // weight of the mean radiance of the shell
 static const float FAR_WIDTH = 0.8f;  // of the shell, behind which there is nothing
 static const float THICKNESS = 0.15f; // standard deviation across the surface per spacing
