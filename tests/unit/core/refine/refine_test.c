@@ -189,6 +189,29 @@ static void test_no_steps(void **state)
     close_world();
 }
 
+/* Under full splats nothing else would learn; a scene that is not refined stays as it is. */
+static void test_half_open(void **state)
+{
+    (void)state;
+    for (int steps = 0; steps < 2; steps++) {
+        open_world(1, 0);
+        const struct gaussians *g = &W.start.g;
+        float most = -INFINITY, wide = 0, was = 0;
+        for (int i = 0; i < g->n; i++) {
+            g->plane[G_LOGIT][i] = 4;
+            was += g->plane[G_LOG_SCALE][i] / (float)g->n;
+        }
+        refine(steps, 0, false);
+        for (int i = 0; i < g->n; i++) {
+            most = fmaxf(most, g->plane[G_LOGIT][i]);
+            wide += g->plane[G_LOG_SCALE][i] / (float)g->n;
+        }
+        assert_float_equal(most, steps ? 0 : 4, 0.2);
+        assert_float_equal(wide - was, steps ? 0.18f : 0, 0.1);
+        close_world();
+    }
+}
+
 static void test_same_bytes(void **state)
 {
     (void)state;
@@ -422,14 +445,15 @@ static void test_begin(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_learns),        cmocka_unit_test(test_brackets),
-        cmocka_unit_test(test_outliers),      cmocka_unit_test(test_parts),
-        cmocka_unit_test(test_rounds),        cmocka_unit_test(test_guesses),
-        cmocka_unit_test(test_no_steps),      cmocka_unit_test(test_same_bytes),
-        cmocka_unit_test(test_bands),         cmocka_unit_test(test_align),
-        cmocka_unit_test(test_align_nothing), cmocka_unit_test(test_extremes),
-        cmocka_unit_test(test_cancel),        cmocka_unit_test(test_plan),
-        cmocka_unit_test(test_begin),         cmocka_unit_test(test_keeps_best),
-        cmocka_unit_test(test_splits_stop),   cmocka_unit_test(test_time)};
+        cmocka_unit_test(test_learns),     cmocka_unit_test(test_brackets),
+        cmocka_unit_test(test_outliers),   cmocka_unit_test(test_parts),
+        cmocka_unit_test(test_rounds),     cmocka_unit_test(test_guesses),
+        cmocka_unit_test(test_no_steps),   cmocka_unit_test(test_half_open),
+        cmocka_unit_test(test_same_bytes), cmocka_unit_test(test_bands),
+        cmocka_unit_test(test_align),      cmocka_unit_test(test_align_nothing),
+        cmocka_unit_test(test_extremes),   cmocka_unit_test(test_cancel),
+        cmocka_unit_test(test_plan),       cmocka_unit_test(test_begin),
+        cmocka_unit_test(test_keeps_best), cmocka_unit_test(test_splits_stop),
+        cmocka_unit_test(test_time)};
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
