@@ -4,7 +4,8 @@
  * Pairs that are sure connect views; the roll between connected views is known from them, so that
  * an unsure pair is compared in turns that are near it only, and not at all where it is upright.
  * Pairs of views that are not connected are compared in all turns. What is still unsure then, of
- * views that sure pairs connect by way of one view at most, is compared with stretched views. */
+ * views that sure pairs connect by way of one view at most, and sure pairs that no third view
+ * shares, are compared with stretched views. */
 #include "core/sfm/pairs.h"
 
 #include "core/base/num.h"
@@ -307,8 +308,8 @@ static void choose_isolated(struct pairs *s)
         find_parts(s, x);
         for (int k = 0; k < s->n; k++) {
             const struct pair *c = s->pair + k;
-            s->isolated[k] = s->isolated[k] || (c->agree < PAIR_SURE && c->a != x && c->b != x &&
-                                                s->tree[c->a] != s->tree[c->b]);
+            if (c->a != x && c->b != x && s->tree[c->a] != s->tree[c->b])
+                s->isolated[k] = true; // unsure, or both were one part
         }
     }
 }

@@ -346,7 +346,7 @@ static int count_bridges(const struct match_tracks *t)
     return sum;
 }
 
-/* Each view has two alike beside it; the groups are as far apart as views above. */
+/* Each view has two alike beside it; of the other group it shares too little upright. */
 static void test_groups_far_apart(void **state)
 {
     struct world w;
