@@ -22,6 +22,7 @@ static const float ABOUT = 0.1f;       // relative difference of depths
 static const float DOUBT = 3.0f;       // times b, where the branch overrules stereo
 static const float DOUBT_LEAST = 0.1f; // stops: below, both mean the same surface
 static const float IS_FAR = 1.0f, NOT_FAR = -1.0f; // logits
+static const float SKY_LEAST = 0.01f; // share of all pixels; less are lamps and windows
 
 static float limit(float x)
 {
@@ -264,6 +265,16 @@ static uint8_t sees_shell(uint8_t was, const float *answer)
     return answer[FILL_IS_FAR] > (was ? NOT_FAR : IS_FAR) ? FAR_SKY : 0;
 }
 
+void fill_look_for_sky(struct fill *f, const float *answer)
+{
+    const struct depthmaps *d = f->depth;
+    const size_t pixels = extent_total(d->extent, d->n);
+    size_t far = 0;
+    for (size_t at = 0; at < pixels && d->far; at++)
+        far += sees_shell(d->far[at], answer + FILL_ANSWER * at) == FAR_SKY;
+    f->sky = (float)far >= SKY_LEAST * (float)pixels;
+}
+
 /* Whether stereo has no depth here, or one that the branch does not believe. */
 static bool is_lost(float conf, const float *answer)
 {
@@ -280,7 +291,8 @@ size_t fill_take(struct fill *f, int view, const float *answer, struct depthmaps
     guess_smooth(&f->guess, d, view, f->rho);
     for (size_t i = 0; i < extent_pixels(map); i++, answer += FILL_ANSWER) {
         const size_t at = map->at + i;
-        const uint8_t was = d->far ? d->far[at] : 0, far = d->far ? sees_shell(was, answer) : 0;
+        const uint8_t was = d->far ? d->far[at] : 0,
+                      far = was || f->sky ? sees_shell(was, answer) : 0;
         if (far == was && (far || !is_lost(d->conf[at], answer)))
             continue;
         float uvz[3] = {0, 0, 1.0f / (f->rho[i] * exp2f(limit(answer[FILL_RESIDUAL])))};

@@ -35,6 +35,7 @@ struct fill {
     struct visibility vis;
     float *rho;  // (pixels of the largest map) inverse depth of guess_smooth
     float *sort; // as many
+    bool sky;    // of fill_look_for_sky
 };
 
 /* Memory for any of n maps.
@@ -56,7 +57,12 @@ enum {
     FILL_ANSWER
 };
 
-/* Take it into the maps where stereo is not sure, after fill_input of all views.
+/* Whether the branch may tell what is sky: not where it says so of so few pixels that they are
+ * lamps or windows. answer: (FILL_ANSWER) of the maps of all views. */
+void fill_look_for_sky(struct fill *f, const float *answer);
+
+/* Take it into the maps where stereo is not sure, after fill_input of all views and
+ * fill_look_for_sky.
  * answer: (h, w, FILL_ANSWER) of the map of the view. d: that of fill_set.
  * returns: the number of pixels that changed. */
 size_t fill_take(struct fill *f, int view, const float *answer, struct depthmaps *d);

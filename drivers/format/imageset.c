@@ -558,6 +558,9 @@ static err_t get_cameras(const struct imageset_request *rq, struct imageset *set
             e = give_camera(source, &rig, path, &set->capture.shots[i]);
     }
     cameras_free(&rig);
+    if (e == ERR_FORMAT && !rq->rig)
+        e = err_fail(e, "%s; it was found beside the pictures: --rig none does without it",
+                     err_text());
     return e;
 }
 

@@ -52,6 +52,8 @@ err_t completion_run(const struct run *r, const struct net *net, const struct vi
     }
     if (!e)
         e = share_gather(r, c.answer, FILL_ANSWER * sizeof *c.answer, d->extent, d->n);
+    if (!e)
+        fill_look_for_sky(&c.fill, c.answer);
     for (int i = 0; i < d->n && !e; i++)
         taken += fill_take(&c.fill, i, c.answer + FILL_ANSWER * d->extent[i].at, d);
     *share = (float)taken / (float)extent_total(d->extent, d->n);

@@ -28,7 +28,7 @@ static struct place {
     float log2t[VIEWS], depth[VIEWS * MPX], conf[VIEWS * MPX];
     uint8_t far[VIEWS * MPX];
     uint8_t rgb[3 * VIEWS * PX], masked[VIEWS * PX];
-    float input[MPX * FILL_INPUT], answer[MPX * FILL_ANSWER];
+    float input[MPX * FILL_INPUT], answer[VIEWS * MPX * FILL_ANSWER];
 } w;
 
 static int setup(void **state)
@@ -259,6 +259,7 @@ static void sky_goes_to_the_shell_and_what_is_none_comes_back(void **state)
     w.far[50] = FAR_SKY;
     w.depth[50] = 1e5f;
     w.conf[50] = FAR_CONF;
+    w.f.sky = true;
     (void)fill_take(&w.f, 0, w.answer, &w.maps);
     const float z = shell_depth(&shell, w.cams, 2 * (40 % MAP + 0.5f), 2 * (float)(40 / MAP) + 1);
     assert_true(w.far[40] && w.conf[40] == FAR_CONF && fabsf(w.depth[40] / z - 1) < 1e-6f);
@@ -271,8 +272,35 @@ static void sky_goes_to_the_shell_and_what_is_none_comes_back(void **state)
     w.maps.far = NULL;
     w.depth[40] = WALL;
     w.conf[40] = 0.1f;
+    fill_look_for_sky(&w.f, w.answer);
     (void)fill_take(&w.f, 0, w.answer, &w.maps);
     assert_true(fabsf(w.depth[40] - WALL) < 1e-3f);
+}
+
+/* A hundredth of all pixels is sky. */
+static void a_lamp_is_not_sky(void **state)
+{
+    (void)state;
+    for (int k = 0; k < VIEWS * MPX; k++)
+        answer(k, 0, 0, k < VIEWS * MPX / 100 ? 9 : -9);
+    w.conf[1] = 0;
+    fill_look_for_sky(&w.f, w.answer);
+    (void)fill_take(&w.f, 0, w.answer, &w.maps);
+    assert_true(!w.far[1] && fabsf(w.depth[1] - WALL) < 1e-3f);
+    answer(VIEWS * MPX - 1, 0, 0, 9);
+    w.far[2] = FAR_SKY; // which the branch takes back whether or not there is sky
+    w.far[3] = FAR_SKY;
+    answer(2, 0, 0, -9);
+    fill_look_for_sky(&w.f, w.answer);
+    (void)fill_take(&w.f, 0, w.answer, &w.maps);
+    assert_true(!w.far[1] && !w.far[2] && w.far[3] == FAR_SKY);
+    answer(2, 0, 0, 9);
+    fill_look_for_sky(&w.f, w.answer);
+    (void)fill_take(&w.f, 0, w.answer, &w.maps);
+    assert_true(w.far[1] == FAR_SKY);
+    w.maps.far = NULL;
+    fill_look_for_sky(&w.f, w.answer);
+    assert_false(w.f.sky);
 }
 
 static void an_answer_beyond_reason_is_limited(void **state)
@@ -303,6 +331,7 @@ int main(void)
         TEST(other_depth_is_taken_and_is_usable_where_the_branch_is_sure),
         TEST(what_another_view_has_measured_is_its_own_to_show),
         TEST(sky_goes_to_the_shell_and_what_is_none_comes_back),
+        TEST(a_lamp_is_not_sky),
         TEST(an_answer_beyond_reason_is_limited),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);

@@ -459,10 +459,15 @@ static void rigs_come_from_three_places(void **state)
     rq.rig = "tests/data/sets/colmap_bin";
     assert_int_equal(list(&rq), ERR_FORMAT);
     assert_non_null(strstr(err_text(), "no camera for image a.png among 3"));
+    assert_null(strstr(err_text(), "--rig none"));
     rq.rig = tmpdir_text("rig.conf", "");
     assert_int_equal(list(&rq), ERR_UNSUPPORTED);
     rq.rig = tmpdir_path("gone.json");
     assert_int_equal(list(&rq), ERR_IO);
+    rq.rig = NULL;
+    tmpdir_text("transforms.json", "{\"fl_x\": 5, \"w\": 8, \"h\": 6, \"frames\": []}");
+    assert_int_equal(list(&rq), ERR_FORMAT);
+    assert_non_null(strstr(err_text(), "--rig none"));
     rq.rig = tmpdir_path("rig.json");
     put_picture("b.png", 8, 6);
     assert_int_equal(list(&rq), ERR_FORMAT);
