@@ -40,7 +40,9 @@ struct align {
     uint8_t *photo[LEVELS];   // planes (3, h, w)
     struct normal *part;      // of each chunk of rows
     const struct camera *cam; // of pic
-    const uint8_t *target;
+    const uint8_t *target;    // photo[level]
+    const struct views *v;    // which photographs
+    int view, level;
 };
 
 static int count_levels(const struct extent *e)
@@ -128,6 +130,8 @@ static void add_pixel(const struct align *a, int x, int y, struct normal *out)
     const size_t at = (size_t)y * (size_t)a->pic.w + (size_t)x;
     const float alpha = a->pic.alpha[at], z = a->pic.depth[at] / alpha;
     float s[5], jx[TWIST], jy[TWIST];
+    if (views_hides_any(a->v, a->view, x << a->level, y << a->level, 1 << a->level))
+        return;
     out->cost += structure_at(a, at, s);
     if (!(alpha > COVERED) || !(z > 0))
         return;
@@ -206,6 +210,7 @@ static err_t align_level(struct align *a, const struct views *v, int i, int leve
     float twist[TWIST];
     double damping = 1e-3;
     a->target = a->photo[level];
+    a->level = level;
     err_t e = compare_view(a, v, i, &cam, &now);
     for (int step = 0; step < STEPS && !e && solve_twist(&now, damping, twist); step++) {
         struct camera moved = cam;
@@ -231,6 +236,7 @@ static err_t align_view(struct align *a, const struct views *v, int i)
     const struct extent *px = &v->extent[i];
     const int levels = count_levels(px);
     err_t e = OK;
+    a->view = i;
     pyramid_split(views_rgb(v, i), extent_pixels(px), a->photo[0]);
     for (int k = 1; k < levels; k++)
         pyramid_halve(a->photo[k - 1], px->w >> (k - 1), px->h >> (k - 1), a->photo[k]);
@@ -244,14 +250,11 @@ err_t align_run(const struct run *r, const struct scene *s, struct views *v)
     size_t mark = arena_mark(r->tmp);
     if (!v->cams)
         return err_fail(ERR_ARG, "align: views without cameras");
-    struct align a = {.r = r, .s = s};
+    struct align a = {.r = r, .s = s, .v = v};
     err_t e = layout(&a, r->tmp, s->g.n, v);
     tonemap_table_init(&a.table, &s->tone);
-    for (int i = 0; i < v->n && !e; i++) {
+    for (int i = 0; i < v->n && !e; i++)
         e = align_view(&a, v, i);
-        if (!e && r->progress)
-            r->progress(r->progress_ctx, "align", i + 1, v->n, NULL);
-    }
     arena_reset(r->tmp, mark);
     return e;
 }

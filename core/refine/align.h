@@ -10,7 +10,7 @@
 /* Bytes that align_run takes from r->tmp; of v only n and extent are read. */
 size_t align_plan(int splats, const struct views *v);
 
-/* Move v->cams[i] (for v->extent[i]) of every view; v->log2t and v->rgb are those of the
+/* Move v->cams[i] (for v->extent[i]) of every view; v->log2t, v->rgb and v->masked are those of the
  * photographs. A camera that sees nothing of the scene, or nothing but one colour, stays.
  * err: ERR_ARG, ERR_NOMEM, ERR_CANCELLED (cameras are valid, partly aligned). */
 MUST_USE err_t align_run(const struct run *r, const struct scene *s, struct views *v);

@@ -1,6 +1,7 @@
 #include "firmware/recon/evaluate.h"
 
 #include "firmware/recon/shading.h"
+#include "firmware/recon/testview.h"
 
 #include "core/refine/confidence.h"
 #include "core/splat/path.h"
@@ -459,48 +460,17 @@ static err_t set_lens(const struct shot *s, struct view *v)
     return draw_lens_camera(&v->lens, &v->cam, LENS_SIDES * num_max(v->px.w, v->px.h), &v->drawn);
 }
 
-/* One picture of a set. */
-struct one {
-    const struct imageset *set;
-    int i;
-    bool lensed;
-};
-
-static err_t decode_one(void *ctx, int i, struct image8 *out)
-{
-    const struct one *from = ctx;
-    (void)i;
-    return from->lensed ? imageset_decode_taken(from->set, from->i, out)
-                        : imageset_decode(from->set, from->i, out);
-}
-
-static err_t decode_its_mask(void *ctx, int i, struct image8 *out)
-{
-    const struct one *from = ctx;
-    (void)i;
-    return imageset_decode_mask(from->set, from->i, from->lensed, out);
-}
-
 /* out: rgb and masked in r->keep. */
 static err_t read_view(struct bench *b, int i, struct view *out)
 {
-    struct shot s = b->test->capture.shots[i];
-    const struct capture one = {1, &s};
-    struct one ctx = {b->test, i, is_lensed(b, &s)};
-    const struct prep_source source = {
-        .decode = decode_one, .release = img_free, .ctx = &ctx, .decode_mask = decode_its_mask};
+    const struct shot *s = &b->test->capture.shots[i];
     struct views v;
-    *out = (struct view){.lensed = ctx.lensed};
-    if (!s.has_camera)
+    *out = (struct view){.lensed = is_lensed(b, s)};
+    if (!s->has_camera)
         return err_fail(ERR_ARG,
                         "%s: its camera is not known; eval needs the cameras of the test views",
-                        s.name);
-    s.has_camera = !out->lensed;
-    if (out->lensed) {
-        s.image.w = s.taken_w;
-        s.image.h = s.taken_h;
-    }
-    err_t e = prep_read(b->r, &one, &source, job_result_size(&b->j->scene), &v);
+                        s->name);
+    err_t e = testview_read(b->r, b->test, i, out->lensed, job_result_size(&b->j->scene), &v);
     if (e)
         return e;
     out->px = v.extent[0];
@@ -508,7 +478,7 @@ static err_t read_view(struct bench *b, int i, struct view *out)
     out->masked = v.masked;
     out->log2t = v.log2t[0];
     if (out->lensed)
-        return set_lens(&b->test->capture.shots[i], out);
+        return set_lens(s, out);
     out->cam = out->drawn = v.cams[0];
     return OK;
 }
@@ -687,12 +657,10 @@ void evaluate_plan(struct plan *p, const struct evaluate_pictures *e, int cap)
     struct gaussians g;
     struct bench b;
     struct evaluate_picture *pictures;
-    uint8_t *masked;
     if (gaussians_init(&g, &planes, cap, 0) || layout(&b, &p->tmp, &most, &drawn, g.cap) ||
-        arena_alloc(&p->keep, (size_t)test->n, sizeof *pictures, &pictures) ||
-        arena_alloc(&p->keep, most.at, 1, &masked))
+        arena_alloc(&p->keep, (size_t)test->n, sizeof *pictures, &pictures))
         plan_refuse(p);
-    prep_plan(p, 1, most.at, prep_largest(test), size.edge);
+    testview_plan(p, test, most.at, size);
     arena_step(&p->tmp, metrics_ssim_plan(most.w));
     if (e->lpips)
         plan_lpips(p, e);

@@ -2,12 +2,13 @@
 
 #include "firmware/recon/locate.h"
 #include "firmware/recon/shading.h"
+#include "firmware/recon/testview.h"
 
+#include "core/base/num.h"
 #include "core/photo/prep.h"
 #include "core/refine/align.h"
 #include "core/sfm/pose.h"
 #include "core/sfm/similarity.h"
-#include "drivers/format/img.h"
 #include "drivers/format/name.h"
 
 #include <stdlib.h>
@@ -76,23 +77,47 @@ static void add_extents(const struct capture *test, struct prep_size size, size_
         }
 }
 
+/* The largest view in the size of the scene. */
+static struct extent largest_view(const struct capture *test, struct prep_size size)
+{
+    struct extent out = {0, 0, 0};
+    for (int i = 0; i < test->n; i++) {
+        const struct image8 *im = &test->shots[i].image;
+        const struct extent px = prep_extent(size, im->w, im->h);
+        out.w = num_max(out.w, px.w);
+        out.h = num_max(out.h, px.h);
+    }
+    return out;
+}
+
+static void plan_align(struct plan *p, const struct capture *test, struct prep_size size, int most)
+{
+    struct extent px = largest_view(test, size);
+    const struct views one = {.n = 1, .size = size.edge, .extent = &px};
+    struct shade *shade;
+    const size_t mark = arena_mark(&p->keep);
+    if (shading_layout(&shade, &p->keep, 1))
+        plan_refuse(p);
+    testview_plan(p, test, extent_pixels(&px), size);
+    arena_step(&p->tmp, align_plan(most, &one));
+    arena_reset(&p->keep, mark);
+}
+
 static void plan_steps(struct plan *p, const struct job_config *cfg, const struct views *v,
-                       const struct capture *test, int most)
+                       const struct capture *test)
 {
     const struct recipe recipe = recipe_of_cameras(cfg);
     struct views own = *v;
     struct bundle_lens *lens;
-    struct shade *shade;
-    if (layout_extents(&own, &p->keep) || shading_layout(&shade, &p->keep, v->n) ||
+    if (layout_extents(&own, &p->keep) ||
         layout_views(&own, &lens, &p->keep, extent_total(v->extent, v->n)))
         plan_refuse(p);
-    prep_plan(p, 1, extent_cover(v->extent, v->n).at, prep_largest(test), v->size);
+    testview_plan(p, test, extent_cover(v->extent, v->n).at, (struct prep_size){v->size, false});
     if (recipe.network)
         network_look_plan(p, cfg->network, recipe.bundle, v);
     if (recipe.bundle)
         locate_plan(p, v, v->n);
     arena_step(&p->tmp, pose_error_plan(v->n)); // fits a similarity, as placing does
-    arena_step(&p->tmp, align_plan(most, v));
 }
 
 err_t testcams_plan(const struct job_config *cfg, const struct testcams_scene *scene,
@@ -108,7 +133,8 @@ err_t testcams_plan(const struct job_config *cfg, const struct testcams_scene *s
         return err_fail(ERR_NOMEM, "no memory for the shapes of %d views", v.n);
     prep_extents(train, size, v.extent); // places come first
     add_extents(test, size, extent_total(v.extent, inputs), v.extent + inputs);
-    plan_steps(&p, cfg, &v, test, scene->gaussians);
+    plan_steps(&p, cfg, &v, test);
+    plan_align(&p, test, (struct prep_size){cfg->size, scene->square}, scene->gaussians);
     free(v.extent);
     *out = (struct job_memory){.keep = p.keep.peak, .tmp = p.tmp.peak};
     return OK;
@@ -154,17 +180,12 @@ static err_t add_view(const struct run *r, const struct imageset *test, int i, i
 {
     const struct prep_size size = {all->size, all->extent[at].w == all->extent[at].h};
     const size_t mark = arena_mark(r->keep);
-    struct shot s = test->capture.shots[i];
-    struct capture one = {1, &s};
     struct views v;
-    err_t e = imageset_decode(test, i, &s.image);
-    if (!e)
-        e = prep_run(r, &one, size, &v);
+    err_t e = testview_read(r, test, i, false, size, &v);
     if (!e) {
         memcpy(views_rgb(all, at), v.rgb, 3 * extent_pixels(&all->extent[at]));
         all->log2t[at] = v.log2t[0];
     }
-    img_free(&s.image);
     arena_reset(r->keep, mark);
     return e;
 }
@@ -279,40 +300,42 @@ static void warn_lost(const struct capture *test, const struct found *f, struct 
                         lost == 1 ? "it" : "them", lost == 1 ? "it" : "them");
 }
 
-/* Vignetting, gain and balance of the test views, if they are known of any camera. */
-static err_t shade_tests(const struct run *r, const struct job_result *j,
-                         const struct capture *test, struct views *v)
+/* Align the camera of picture i, which is that of its view, in the size of the scene. */
+static err_t align_test_view(const struct run *r, const struct job_result *j,
+                             const struct imageset *test, int i, struct camera *cam)
 {
-    struct shade *out;
-    if (!shading_found(j))
-        return OK;
-    err_t e = shading_layout(&out, r->keep, v->n);
-    for (int i = 0, view = 0; i < test->n && !e; i++)
-        if (begins_view(test, i)) {
-            if (!shading_of(j, &test->shots[i], &v->cams[view], &out[view]))
-                memset(&out[view], 0, sizeof out[view]);
-            view++;
-        }
-    v->shade = e ? NULL : out;
+    const struct shot *s = &test->capture.shots[i];
+    const size_t mark = arena_mark(r->keep);
+    struct views v;
+    struct shade *shade;
+    err_t e = testview_read(r, test, i, false, job_result_size(&j->scene), &v);
+    if (!e)
+        e = shading_layout(&shade, r->keep, 1);
+    if (!e) {
+        *cam = pose_scaled(cam, v.extent[0].w, v.extent[0].h);
+        v.cams = cam;
+        v.shade = shading_of(j, s, cam, shade) ? shade : NULL;
+        e = align_run(r, &j->scene, &v);
+    }
+    arena_reset(r->keep, mark);
     return e;
 }
 
 static err_t align_test_views(const struct run *r, const struct job_result *j,
-                              const struct capture *test, const struct found *f)
+                              const struct imageset *test, const struct found *f)
 {
-    const struct scene *s = &j->scene;
-    const struct views *all = &f->all;
-    const size_t first = (size_t)s->n_views;
-    struct views v = {.n = all->n - s->n_views,
-                      .size = all->size,
-                      .extent = all->extent + first,
-                      .rgb = all->rgb, // the extents count from there
-                      .log2t = all->log2t + first,
-                      .cams = f->cams + first};
-    err_t e = place_test_views(r, s, f);
-    if (!e)
-        e = shade_tests(r, j, test, &v);
-    return e ? e : align_run(r, s, &v);
+    const struct capture *c = &test->capture;
+    int at = j->scene.n_views;
+    err_t e = place_test_views(r, &j->scene, f);
+    for (int i = 0; i < c->n && !e; i++) {
+        if (!begins_view(c, i))
+            continue;
+        e = align_test_view(r, j, test, middle_picture(c, i), &f->cams[at++]);
+        if (r->progress)
+            r->progress(r->progress_ctx, "align", at - j->scene.n_views,
+                        f->all.n - j->scene.n_views, NULL);
+    }
+    return e;
 }
 
 static void give_cameras(const struct camera *cams, struct capture *test)
@@ -343,7 +366,7 @@ err_t testcams_run(const struct run *r, const struct job_config *cfg, struct job
         e = locate_all(r, cfg, &f);
     }
     if (!e)
-        e = align_test_views(r, j, &test->capture, &f);
+        e = align_test_views(r, j, test, &f);
     if (!e) {
         give_cameras(f.cams + n, &test->capture);
         warn_lost(&test->capture, &f, j);

@@ -274,10 +274,11 @@ static double pose_error(const struct camera *a, const struct camera *b)
     return sum;
 }
 
-static void test_align(void **state)
+/* hidden: something else stands before a part of each photograph. */
+static void align_moved(bool hidden)
 {
-    (void)state;
     open_world(2, 0);
+    static uint8_t masked[V * PX];
     struct camera moved[V];
     double before = 0, after = 0;
     memcpy(moved, W.cams, sizeof moved);
@@ -288,6 +289,12 @@ static void test_align(void **state)
     }
     struct views v = W.v;
     v.cams = moved;
+    for (int i = 0; i < V * PX && hidden; i++) {
+        masked[i] = i % S < S / 3;
+        if (masked[i])
+            memset(W.rgb + 3 * i, i / S % 8 * 30, 3);
+    }
+    v.masked = hidden ? masked : NULL;
     W.truth.cams = W.cams;
     W.truth.n_views = V;
     assert_int_equal(align_run(&W.r, &W.truth, &v), OK);
@@ -296,6 +303,13 @@ static void test_align(void **state)
     print_message("  reprojection error %.3f -> %.3f px\n", before, after);
     assert_true(after < before / 50);
     close_world();
+}
+
+static void test_align(void **state)
+{
+    (void)state;
+    align_moved(false);
+    align_moved(true);
 }
 
 /* A camera that looks away, and photographs without any light. */
