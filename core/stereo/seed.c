@@ -12,9 +12,9 @@
 #include "core/base/num.h"
 #include "core/base/rotation.h"
 #include "core/base/shell.h"
-#include "core/photo/response.h"
-#include "core/photo/shade.h"
+#include "core/stereo/far.h"
 #include "core/stereo/guess.h"
+#include "core/stereo/sights.h"
 
 #include <math.h>
 #include <string.h>
@@ -23,7 +23,6 @@ enum {
     BLOCK = 8,     // largest block, px of the map
     RETREATS = 16, // steps by which a guess may go back
     TRIES = 12,    // times the detail may be given up
-    SAMPLES = 4,   // pixels per axis that are read for the colour of a splat in one view
 };
 
 enum {
@@ -44,8 +43,6 @@ static const float CLEAR = 4.0f;      // standard deviations around a camera whe
 static const float CLEAR_MOST = 0.2f; // at most, of the depth
 static const float OPEN = 0.5f;       // share of the depth of the nearest surface that a view sees
 static const float NEAREST = 0.05f;   // quantile of depths that counts as that
-static const float LN2 = 0.69314718f;
-static const float ALIKE = 0.7f; // of ln radiance, two views of one surface
 
 struct frame {
     float r[9], t[3]; // world to camera
@@ -62,16 +59,15 @@ struct seed {
     int max;
     float loss; // factor on the thresholds: > 1 gives up detail
     bool full;
-    struct response_table table; // of the response
-    float linear[3][256];        // 2^table.x
-    struct frame *frame;         // (n)
-    float *open;                 // (n) distance from a camera where hardly anything is
-    int *order;                  // (n) views, best first
-    float *score;                // (n)
-    uint8_t *mark;               // (maps)
-    float *rho;                  // (h, w) of the view in work
-    float *smooth;               // (h, w) memory of rho in the first round
-    float *guess;                // (maps) inverse depth in the second round
+    struct sights sights;
+    struct frame *frame; // (n)
+    float *open;         // (n) distance from a camera where hardly anything is
+    int *order;          // (n) views, best first
+    float *score;        // (n)
+    uint8_t *mark;       // (maps)
+    float *rho;          // (h, w) of the view in work
+    float *smooth;       // (h, w) memory of rho in the first round
+    float *guess;        // (maps) inverse depth in the second round
     struct guess_work work;
 };
 
@@ -124,124 +120,6 @@ static bool project_to_map(const struct frame *f, const float *x, const struct e
     return out[0] >= 0.0f && out[1] >= 0.0f && out[0] < (float)map->w && out[1] < (float)map->h;
 }
 
-/* ---- pictures ---- */
-
-static const uint8_t *pixel_at(const struct seed *s, int view, int x, int y)
-{
-    const struct views *v = s->in->views;
-    return views_rgb(v, view) + 3 * ((size_t)y * (size_t)v->extent[view].w + (size_t)x);
-}
-
-/* Range of picture pixels under [at - side / 2, at + side / 2] of the map: first, step and count.
- * size: px of the picture on this axis. */
-static void sample_range(const struct seed *s, float at, float side, int size, int *range)
-{
-    const int scale = s->in->depth->scale;
-    int n = (int)(side * (float)scale + 0.5f);
-    n = n < 1 ? 1 : n;
-    range[1] = (n + SAMPLES - 1) / SAMPLES;
-    range[2] = n / range[1];
-    int first = (int)floorf(at * (float)scale - 0.5f * (float)n + 0.5f) + range[1] / 2;
-    int last = size - 1 - (range[2] - 1) * range[1];
-    range[0] = first < 0 || last < 0 ? 0 : first > last ? last : first;
-}
-
-/* r^2 at a pixel of the map. */
-static float shade_of(const struct seed *s, int view, const float *at)
-{
-    const struct extent *map = &s->in->depth->extent[view];
-    return shade_r2(&s->in->views->shade[view], at[0] / (float)map->w, at[1] / (float)map->h);
-}
-
-/* ln radiance of the pixels under a square and its reliability; and its bounds, of which one is far
- * where the picture is black or saturated. */
-struct sight {
-    float ln[3], weight[3], least[3], most[3];
-};
-
-static struct sight look_at(const struct seed *s, int view, const float *at, float side)
-{
-    int rx[3], ry[3];
-    sample_range(s, at[0], side, s->in->views->extent[view].w, rx);
-    sample_range(s, at[1], side, s->in->views->extent[view].h, ry);
-    float value[3] = {0}, weight[3] = {0};
-    for (int i = 0; i < rx[2] * ry[2]; i++) {
-        const int x = rx[0] + i % rx[2] * rx[1], y = ry[0] + i / rx[2] * ry[1];
-        const uint8_t *p = pixel_at(s, view, x, y);
-        if (views_hides_any(s->in->views, view, x, y, 1))
-            continue;
-        for (int c = 0; c < 3; c++) {
-            float w = s->table.weight[c][p[c]] + 1e-4f;
-            value[c] += w * s->linear[c][p[c]];
-            weight[c] += w;
-        }
-    }
-    const struct views *v = s->in->views;
-    const float shift = v->log2t[view] - v->mid_log2t;
-    float stops[3] = {0};
-    if (v->shade)
-        shade_stops(&v->shade[view].model, shade_of(s, view, at), stops);
-    struct sight o;
-    for (int c = 0; c < 3; c++) {
-        const float mean = weight[c] > 0 ? value[c] / weight[c] : 0;
-        const float x = log2f(mean + 1e-9f), dim = shift + stops[c];
-        float range[2];
-        o.weight[c] = weight[c] / (float)(rx[2] * ry[2]);
-        response_bounds(&s->table, c, x, o.weight[c], range);
-        o.ln[c] = (x - dim) * LN2;
-        o.least[c] = (range[0] - dim) * LN2;
-        o.most[c] = (range[1] - dim) * LN2;
-    }
-    return o;
-}
-
-/* Whether one view is as bright as the other allows, if that is black or saturated. */
-static bool is_bounded(const struct sight *a, const struct sight *b)
-{
-    for (int c = 0; c < 3; c++) {
-        const bool blind = a->least[c] < a->most[c] || b->least[c] < b->most[c];
-        if (blind && (a->least[c] > b->most[c] + ALIKE || b->least[c] > a->most[c] + ALIKE))
-            return false;
-    }
-    return true;
-}
-
-/* Add ln radiance to sum, weighted by reliability. */
-static void add_colour(const struct sight *o, float factor, float (*sum)[2])
-{
-    for (int c = 0; c < 3; c++) {
-        sum[c][0] += factor * o->weight[c] * o->ln[c];
-        sum[c][1] += factor * o->weight[c];
-    }
-}
-
-/* Standard deviation over mean of the picture under a square, as displayed, where it shows. */
-static float block_contrast(const struct seed *s, int view, const float *at, float side)
-{
-    const int scale = s->in->depth->scale, n = (int)(side * (float)scale);
-    const int x0 = (int)((at[0] - 0.5f * side) * (float)scale),
-              y0 = (int)((at[1] - 0.5f * side) * (float)scale);
-    float top = 0.0f;
-    for (int c = 0; c < 3; c++) {
-        float sum = 0.0f, square = 0.0f;
-        int shown = 0;
-        for (int i = 0; i < n * n; i++) {
-            const int x = x0 + i % n, y = y0 + i / n;
-            float z = (float)pixel_at(s, view, x, y)[c] / 255.0f;
-            if (views_hides_any(s->in->views, view, x, y, 1))
-                continue;
-            shown++;
-            sum += z;
-            square += z * z;
-        }
-        shown = shown > 0 ? shown : 1;
-        float mean = sum / (float)shown, var = square / (float)shown - mean * mean;
-        float rel = sqrtf(var > 0.0f ? var : 0.0f) / (mean + 0.1f);
-        top = rel > top ? rel : top;
-    }
-    return top;
-}
-
 /* ---- one splat ---- */
 
 /* Project the splat at x, `width` wide in the world, into all views; mark the pixels that it covers
@@ -261,9 +139,10 @@ static void mark_all_views(struct seed *s, const struct patch *p, const float *x
         const float *depth = s->in->depth->depth, *conf = s->in->depth->conf;
         if (j != p->view && fabsf(depth[middle] - at[2]) < SWEEP_SAME_SURFACE * at[2] &&
             conf[middle] >= SWEEP_CONF_USABLE) {
-            const struct sight other = look_at(s, j, at, side < p->side ? side : p->side);
-            if (is_bounded(own, &other))
-                add_colour(&other, conf[middle], sum);
+            const struct sight other =
+                sights_look(&s->sights, j, at, side < p->side ? side : p->side);
+            if (sights_agree(own, &other))
+                sights_add(&other, conf[middle], sum);
         }
         if (side > 2.5f * p->side)
             continue; // this view is near enough to get its own splats
@@ -437,6 +316,14 @@ static bool is_refuted(const struct seed *s, const struct patch *p, const struct
     return seen < through || (p->sure && seen == through && through > 0);
 }
 
+/* Whether it shows a black backdrop. */
+static bool is_black(const struct seed *s, const struct patch *p)
+{
+    const struct depthmaps *d = s->in->depth;
+    const struct extent *map = &d->extent[p->view];
+    return d->far && d->far[map->at + (size_t)p->y * (size_t)map->w + (size_t)p->x] == FAR_BLACK;
+}
+
 static void emit_splat(struct seed *s, struct patch *p)
 {
     struct gaussians *g = s->out;
@@ -458,8 +345,8 @@ static void emit_splat(struct seed *s, struct patch *p)
         to_world(f, o.axis[k], world[k]);
     axes_to_quat(world, q);
     const float at[2] = {p->x, p->y};
-    const struct sight own = look_at(s, p->view, at, p->side);
-    add_colour(&own, 2.0f, sum);
+    const struct sight own = sights_look(&s->sights, p->view, at, p->side);
+    sights_add(&own, 2.0f, sum);
     mark_all_views(s, p, o.x, o.width, &own, sum);
     const bool far = shell_has(&s->shell, o.x);
     for (int k = 0; k < 3 && far; k++) { // the sky of a saturated pixel is as all the rest of it
@@ -469,6 +356,10 @@ static void emit_splat(struct seed *s, struct patch *p)
     }
     if (!(sum[0][1] > 0)) // all that shows it is masked
         return;
+    for (int k = 0; k < 3 && is_black(s, p); k++) { // what is reliable there is noise
+        sum[k][0] = own.plain[k];
+        sum[k][1] = 1;
+    }
     g->n++;
     const float wide = far ? FAR_WIDTH * o.width : WIDTH * o.width;
     const float scale[3] = {wide / o.cosine, wide, THICKNESS * o.width};
@@ -535,7 +426,7 @@ static void seed_pixel(struct seed *s, int view, int x, int y, bool sure)
     const float at[2] = {p.x, p.y};
     pixel_plane(s, x, y, &p);
     if (s->in->depth->scale < 2 || !sure ||
-        block_contrast(s, view, at, 1.0f) < 2.0f * DETAIL * s->loss) {
+        sights_contrast(&s->sights, view, at, 1.0f) < 2.0f * DETAIL * s->loss) {
         emit_splat(s, &p);
         return;
     }
@@ -586,7 +477,7 @@ static void seed_block(struct seed *s, int view, const int *corner, int n, bool 
                           .sure = sure};
         const float at[2] = {p.x, p.y};
         if (fit_plane(s, corner[0], corner[1], n, &p) < FLAT * s->loss &&
-            block_contrast(s, view, at, (float)n) < DETAIL * s->loss) {
+            sights_contrast(&s->sights, view, at, (float)n) < DETAIL * s->loss) {
             emit_splat(s, &p);
             return;
         }
@@ -609,7 +500,7 @@ static float view_score(const struct seed *s, int view)
         const int x = i % w * scale, y = i / w * scale;
         if (!views_hides_any(s->in->views, view, x, y, 1))
             sum += s->in->depth->conf[map->at + (size_t)i] *
-                   s->table.weight[1][pixel_at(s, view, x, y)[1]];
+                   sights_reliability(&s->sights, view, x, y);
     }
     return sum;
 }
@@ -740,8 +631,8 @@ static void measure_sky(struct seed *s)
             const float at[2] = {(float)(k % map->w) + 0.5f, (float)(k / map->w) + 0.5f};
             if (!d->far[map->at + (size_t)k])
                 continue;
-            const struct sight o = look_at(s, j, at, 1);
-            add_colour(&o, 1, s->sky);
+            const struct sight o = sights_look(&s->sights, j, at, 1);
+            sights_add(&o, 1, s->sky);
         }
     }
 }
@@ -763,9 +654,7 @@ static void measure_open(struct seed *s)
 static void prepare_views(struct seed *s)
 {
     s->shell = shell_of(s->in->views->cams, s->in->views->n);
-    response_tabulate(s->in->tone, &s->table);
-    for (int k = 0; k < 3 * 256; k++)
-        s->linear[k / 256][k % 256] = exp2f(s->table.x[k / 256][k % 256]);
+    sights_set(&s->sights, s->in->views, s->in->depth, s->in->tone);
     for (int i = 0; i < s->in->views->n; i++)
         set_frame(&s->in->views->cams[i], s->in->depth->scale, &s->frame[i]);
     measure_sky(s);

@@ -4,6 +4,7 @@
 
 #include "core/base/shell.h"
 #include "core/photo/response.h"
+#include "core/stereo/far.h"
 #include "tests/unit/squares.h"
 
 #include <math.h>
@@ -215,6 +216,46 @@ static void test_sky_is_on_the_shell(void **state)
     }
     assert_true(seen[0] > 3 && seen[1] > 3);  // each part has its own radiance
     assert_true(sky > 20 && sky < MAP * MAP); // many pixels each
+    free_world(&w);
+}
+
+/* The upper third of each view is a black backdrop with noise: one pixel in eight is not 0. It is
+ * as dark as the mean of its pixels, although the bright ones alone are reliable. */
+static void test_black_backdrop_is_as_dark_as_its_mean(void **state)
+{
+    (void)state;
+    struct world w;
+    struct gaussians g;
+    static uint8_t far[VIEWS * MAP * MAP];
+    double sum = 0, n = 0;
+    make_world(&w);
+    const struct shell shell = shell_of(w.cams, VIEWS);
+    w.depth.far = far;
+    for (int k = 0; k < VIEWS * MAP * MAP; k++) {
+        const int y = k / MAP % MAP, x = k % MAP;
+        far[k] = y < MAP / 3 ? FAR_BLACK : 0;
+        if (far[k])
+            w.depth.depth[k] =
+                shell_depth(&shell, &w.cams[k / (MAP * MAP)], 2 * (float)x + 1, 2 * (float)y + 1);
+    }
+    for (int k = 0; k < VIEWS * SIZE * SIZE; k++)
+        if (k % (SIZE * SIZE) < SIZE / 3 * SIZE)
+            memset(w.v.rgb + (size_t)k * 3, ((unsigned)k * 2654435761u) >> 29 ? 0 : 24, 3);
+    memset(w.log2t, 0, sizeof w.log2t);
+    assert_int_equal(seed_run(&w.run, &w.in, MAX, &g), OK);
+    const double noise = exp((double)response_radiance_log(&w.tone, 0, 24 / 255.0f, 0)),
+                 black = exp((double)response_radiance_log(&w.tone, 0, 0, 0));
+    for (int i = 0; i < g.n; i++) {
+        const float x[3] = {g.plane[G_MU][i], g.plane[G_MU + 1][i], g.plane[G_MU + 2][i]};
+        if (!shell_has(&shell, x))
+            continue;
+        const double area = exp(2 * (double)g.plane[G_LOG_SCALE + 1][i]);
+        sum += area * exp((double)(g.plane[G_SH][i] * 0.2820948f));
+        n += area;
+    }
+    const double mean = sum / n, want = noise / 8 + black * 7 / 8;
+    print_message("  backdrop %.5f, as told %.5f, noise %.5f\n", mean, want, noise);
+    assert_true(fabs(mean / want - 1) < 0.25);
     free_world(&w);
 }
 
@@ -497,6 +538,7 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_plane),
         cmocka_unit_test(test_sky_is_on_the_shell),
+        cmocka_unit_test(test_black_backdrop_is_as_dark_as_its_mean),
         cmocka_unit_test(test_saturated_and_black_are_bounds),
         cmocka_unit_test(test_detail_is_given_up),
         cmocka_unit_test(test_floating_surface_is_dropped),
