@@ -5,7 +5,8 @@
  * 3. A region is sky if nearly all that speaks speaks for infinity, if it is bright or a black
  *    backdrop, and if it reaches the border of the picture; then, if it looks as the sky of any
  *    view does.
- * 4. It grows over pixels that look like it, up to the silhouettes before it. */
+ * 4. It grows over pixels that look like it, black ones even if stereo knows them, up to the
+ *    silhouettes before it. */
 #include "core/stereo/far.h"
 
 #include "core/base/num.h"
@@ -372,12 +373,14 @@ static void extend_sky(struct far *s)
 
 /* ---- depth ---- */
 
-/* Whether pixel k, which has no certain depth, continues the sky beside it. */
+/* Whether pixel k, which has no certain depth, continues the sky beside it. What is black has no
+ * texture: its depth is that of a silhouette within the window that was matched. */
 static bool region_continues(const struct far *s, const struct extent *map, int k)
 {
     const struct colour *colour = s->colour + map->at;
     const int32_t *label = s->label + map->at;
-    if (label[k] == 0 || s->d->conf[map->at + (size_t)k] >= SWEEP_CONF_CONFIRMED)
+    if (label[k] == 0 ||
+        (colour[k].black < 7 && s->d->conf[map->at + (size_t)k] >= SWEEP_CONF_CONFIRMED))
         return false;
     for (int q = 0; q < 4; q++) {
         const int next = neighbour_of(map, k, q);
