@@ -156,10 +156,11 @@ static err_t rows_chunk(void *ctx, int chunk, int worker)
     return OK;
 }
 
-/* Draw view i from cam and compare it with its photograph, which has the same size. */
-static err_t compare_view(struct align *a, const struct views *v, int i, const struct camera *cam,
-                          struct normal *out)
+/* Draw the view from cam and compare it with its photograph, which has the same size. */
+static err_t compare_view(struct align *a, const struct camera *cam, struct normal *out)
 {
+    const struct views *v = a->v;
+    const int i = a->view;
     const float *b = a->s->background, shift = v->log2t[i] - a->s->tone.mid_log2t;
     const struct raster_input in = {&a->s->g, cam, {b[0], b[1], b[2]}};
     const size_t px = (size_t)cam->w * (size_t)cam->h;
@@ -201,21 +202,22 @@ static bool solve_twist(const struct normal *n, double damping, float twist[TWIS
     return true;
 }
 
-/* Move the camera of view i by pictures of one level. */
-static err_t align_level(struct align *a, const struct views *v, int i, int level)
+/* Move the camera of the view by pictures of one level. */
+static err_t align_level(struct align *a, int level)
 {
-    struct camera *own = &v->cams[i];
-    struct camera cam = pose_scaled(own, v->extent[i].w >> level, v->extent[i].h >> level);
+    const struct extent *px = &a->v->extent[a->view];
+    struct camera *own = &a->v->cams[a->view];
+    struct camera cam = pose_scaled(own, px->w >> level, px->h >> level);
     struct normal now, next;
     float twist[TWIST];
     double damping = 1e-3;
     a->target = a->photo[level];
     a->level = level;
-    err_t e = compare_view(a, v, i, &cam, &now);
+    err_t e = compare_view(a, &cam, &now);
     for (int step = 0; step < STEPS && !e && solve_twist(&now, damping, twist); step++) {
         struct camera moved = cam;
         pose_move(&moved, twist);
-        e = compare_view(a, v, i, &moved, &next);
+        e = compare_view(a, &moved, &next);
         const bool better = !e && next.cost < now.cost;
         const bool settled = fabs(now.cost - next.cost) <= SETTLED * now.cost;
         damping *= better ? 0.1 : 10;
@@ -231,17 +233,16 @@ static err_t align_level(struct align *a, const struct views *v, int i, int leve
     return e;
 }
 
-static err_t align_view(struct align *a, const struct views *v, int i)
+static err_t align_view(struct align *a)
 {
-    const struct extent *px = &v->extent[i];
+    const struct extent *px = &a->v->extent[a->view];
     const int levels = count_levels(px);
     err_t e = OK;
-    a->view = i;
-    pyramid_split(views_rgb(v, i), extent_pixels(px), a->photo[0]);
+    pyramid_split(views_rgb(a->v, a->view), extent_pixels(px), a->photo[0]);
     for (int k = 1; k < levels; k++)
         pyramid_halve(a->photo[k - 1], px->w >> (k - 1), px->h >> (k - 1), a->photo[k]);
     for (int k = levels - 1; k >= 0 && !e; k--)
-        e = align_level(a, v, i, k);
+        e = align_level(a, k);
     return e;
 }
 
@@ -253,8 +254,8 @@ err_t align_run(const struct run *r, const struct scene *s, struct views *v)
     struct align a = {.r = r, .s = s, .v = v};
     err_t e = layout(&a, r->tmp, s->g.n, v);
     tonemap_table_init(&a.table, &s->tone);
-    for (int i = 0; i < v->n && !e; i++)
-        e = align_view(&a, v, i);
+    for (; a.view < v->n && !e; a.view++)
+        e = align_view(&a);
     arena_reset(r->tmp, mark);
     return e;
 }

@@ -140,7 +140,7 @@ static void mark_all_views(struct seed *s, const struct patch *p, const float *x
         if (j != p->view && fabsf(depth[middle] - at[2]) < SWEEP_SAME_SURFACE * at[2] &&
             conf[middle] >= SWEEP_CONF_USABLE) {
             const struct sight other =
-                sights_look(&s->sights, j, at, side < p->side ? side : p->side);
+                sights_look(&s->sights, j, at, side < p->side ? side : p->side, false);
             if (sights_agree(own, &other))
                 sights_add(&other, conf[middle], sum);
         }
@@ -345,7 +345,7 @@ static void emit_splat(struct seed *s, struct patch *p)
         to_world(f, o.axis[k], world[k]);
     axes_to_quat(world, q);
     const float at[2] = {p->x, p->y};
-    const struct sight own = sights_look(&s->sights, p->view, at, p->side);
+    const struct sight own = sights_look(&s->sights, p->view, at, p->side, false);
     sights_add(&own, 2.0f, sum);
     mark_all_views(s, p, o.x, o.width, &own, sum);
     const bool far = shell_has(&s->shell, o.x);
@@ -354,12 +354,13 @@ static void emit_splat(struct seed *s, struct patch *p)
         sum[k][0] += SKY_PRIOR * fminf(fmaxf(mean, own.least[k]), own.most[k]);
         sum[k][1] += SKY_PRIOR;
     }
+    if (is_black(s, p)) { // what is reliable there is noise
+        const struct sight mean = sights_look(&s->sights, p->view, at, p->side, true);
+        memset(sum, 0, sizeof sum);
+        sights_add(&mean, 1, sum);
+    }
     if (!(sum[0][1] > 0)) // all that shows it is masked
         return;
-    for (int k = 0; k < 3 && is_black(s, p); k++) { // what is reliable there is noise
-        sum[k][0] = own.plain[k];
-        sum[k][1] = 1;
-    }
     g->n++;
     const float wide = far ? FAR_WIDTH * o.width : WIDTH * o.width;
     const float scale[3] = {wide / o.cosine, wide, THICKNESS * o.width};
@@ -631,7 +632,7 @@ static void measure_sky(struct seed *s)
             const float at[2] = {(float)(k % map->w) + 0.5f, (float)(k / map->w) + 0.5f};
             if (!d->far[map->at + (size_t)k])
                 continue;
-            const struct sight o = sights_look(&s->sights, j, at, 1);
+            const struct sight o = sights_look(&s->sights, j, at, 1, false);
             sights_add(&o, 1, s->sky);
         }
     }

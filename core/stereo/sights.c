@@ -46,23 +46,21 @@ static float shade_of(const struct sights *s, int view, const float *at)
     return shade_r2(&s->views->shade[view], at[0] / (float)map->w, at[1] / (float)map->h);
 }
 
-struct sight sights_look(const struct sights *s, int view, const float *at, float side)
+struct sight sights_look(const struct sights *s, int view, const float *at, float side, bool alike)
 {
     int rx[3], ry[3];
     sample_range(s, at[0], side, s->views->extent[view].w, rx);
     sample_range(s, at[1], side, s->views->extent[view].h, ry);
-    float value[3] = {0}, weight[3] = {0}, plain[3] = {0}, shown = 1e-9f;
+    float value[3] = {0}, weight[3] = {0};
     for (int i = 0; i < rx[2] * ry[2]; i++) {
         const int x = rx[0] + i % rx[2] * rx[1], y = ry[0] + i / rx[2] * ry[1];
         const uint8_t *p = pixel_at(s, view, x, y);
         if (views_hides_any(s->views, view, x, y, 1))
             continue;
-        shown++;
         for (int c = 0; c < 3; c++) {
-            float w = s->table.weight[c][p[c]] + 1e-4f;
+            float w = alike ? 1 : s->table.weight[c][p[c]] + 1e-4f;
             value[c] += w * s->linear[c][p[c]];
             weight[c] += w;
-            plain[c] += s->linear[c][p[c]];
         }
     }
     const struct views *v = s->views;
@@ -78,7 +76,6 @@ struct sight sights_look(const struct sights *s, int view, const float *at, floa
         o.weight[c] = weight[c] / (float)(rx[2] * ry[2]);
         response_bounds(&s->table, c, x, o.weight[c], range);
         o.ln[c] = (x - dim) * LN2;
-        o.plain[c] = (log2f(plain[c] / shown + 1e-9f) - dim) * LN2;
         o.least[c] = (range[0] - dim) * LN2;
         o.most[c] = (range[1] - dim) * LN2;
     }

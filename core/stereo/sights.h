@@ -21,11 +21,11 @@ void sights_set(struct sights *s, const struct views *v, const struct depthmaps 
  * where the picture is black or saturated. */
 struct sight {
     float ln[3], weight[3], least[3], most[3];
-    float plain[3]; // ln of the mean of all pixels, however reliable
 };
 
-/* at: middle, side: edge of the square, px of the map. */
-struct sight sights_look(const struct sights *s, int view, const float *at, float side);
+/* at: middle, side: edge of the square, px of the map; alike: all pixels count alike, else as they
+ * are reliable. */
+struct sight sights_look(const struct sights *s, int view, const float *at, float side, bool alike);
 
 /* Whether one view is as bright as the other allows, if that is black or saturated. */
 bool sights_agree(const struct sight *a, const struct sight *b);

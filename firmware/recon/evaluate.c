@@ -660,7 +660,7 @@ void evaluate_plan(struct plan *p, const struct evaluate_pictures *e, int cap)
     if (gaussians_init(&g, &planes, cap, 0) || layout(&b, &p->tmp, &most, &drawn, g.cap) ||
         arena_alloc(&p->keep, (size_t)test->n, sizeof *pictures, &pictures))
         plan_refuse(p);
-    testview_plan(p, test, most.at, size);
+    testview_plan(p, test, most.at, size.edge);
     arena_step(&p->tmp, metrics_ssim_plan(most.w));
     if (e->lpips)
         plan_lpips(p, e);

@@ -4,7 +4,6 @@
 #include "firmware/recon/shading.h"
 #include "firmware/recon/testview.h"
 
-#include "core/base/num.h"
 #include "core/photo/prep.h"
 #include "core/refine/align.h"
 #include "core/sfm/pose.h"
@@ -77,29 +76,15 @@ static void add_extents(const struct capture *test, struct prep_size size, size_
         }
 }
 
-/* The largest view in the size of the scene. */
-static struct extent largest_view(const struct capture *test, struct prep_size size)
+/* v: the test views in the size of the scene. */
+static void plan_align(struct plan *p, const struct capture *test, const struct views *v, int most)
 {
-    struct extent out = {0, 0, 0};
-    for (int i = 0; i < test->n; i++) {
-        const struct image8 *im = &test->shots[i].image;
-        const struct extent px = prep_extent(size, im->w, im->h);
-        out.w = num_max(out.w, px.w);
-        out.h = num_max(out.h, px.h);
-    }
-    return out;
-}
-
-static void plan_align(struct plan *p, const struct capture *test, struct prep_size size, int most)
-{
-    struct extent px = largest_view(test, size);
-    const struct views one = {.n = 1, .size = size.edge, .extent = &px};
     struct shade *shade;
     const size_t mark = arena_mark(&p->keep);
     if (shading_layout(&shade, &p->keep, 1))
         plan_refuse(p);
-    testview_plan(p, test, extent_pixels(&px), size);
-    arena_step(&p->tmp, align_plan(most, &one));
+    testview_plan(p, test, extent_cover(v->extent, v->n).at, v->size);
+    arena_step(&p->tmp, align_plan(most, v));
     arena_reset(&p->keep, mark);
 }
 
@@ -112,7 +97,7 @@ static void plan_steps(struct plan *p, const struct job_config *cfg, const struc
     if (layout_extents(&own, &p->keep) ||
         layout_views(&own, &lens, &p->keep, extent_total(v->extent, v->n)))
         plan_refuse(p);
-    testview_plan(p, test, extent_cover(v->extent, v->n).at, (struct prep_size){v->size, false});
+    testview_plan(p, test, extent_cover(v->extent, v->n).at, v->size);
     if (recipe.network)
         network_look_plan(p, cfg->network, recipe.bundle, v);
     if (recipe.bundle)
@@ -134,7 +119,10 @@ err_t testcams_plan(const struct job_config *cfg, const struct testcams_scene *s
     prep_extents(train, size, v.extent); // places come first
     add_extents(test, size, extent_total(v.extent, inputs), v.extent + inputs);
     plan_steps(&p, cfg, &v, test);
-    plan_align(&p, test, (struct prep_size){cfg->size, scene->square}, scene->gaussians);
+    v.n -= inputs;
+    v.size = cfg->size;
+    add_extents(test, (struct prep_size){v.size, scene->square}, 0, v.extent);
+    plan_align(&p, test, &v, scene->gaussians);
     free(v.extent);
     *out = (struct job_memory){.keep = p.keep.peak, .tmp = p.tmp.peak};
     return OK;

@@ -39,10 +39,10 @@ err_t testview_read(const struct run *r, const struct imageset *set, int i, bool
     return prep_read(r, &one, &source, size, out);
 }
 
-void testview_plan(struct plan *p, const struct capture *c, size_t most, struct prep_size size)
+void testview_plan(struct plan *p, const struct capture *c, size_t most, int edge)
 {
     uint8_t *masked;
     if (arena_alloc(&p->keep, most, 1, &masked))
         plan_refuse(p);
-    prep_plan(p, 1, most, prep_largest(c), size.edge);
+    prep_plan(p, 1, most, prep_largest(c), edge);
 }

@@ -12,7 +12,7 @@
 MUST_USE err_t testview_read(const struct run *r, const struct imageset *set, int i, bool lensed,
                              struct prep_size size, struct views *out);
 
-/* Count it for the largest photograph, `most` of whose pixels are kept. */
-void testview_plan(struct plan *p, const struct capture *c, size_t most, struct prep_size size);
+/* Count it for the largest photograph, of which `most` pixels are kept; edge: that of prep_size. */
+void testview_plan(struct plan *p, const struct capture *c, size_t most, int edge);
 
 #endif

@@ -177,13 +177,14 @@ static void the_dark_is_far(void **state)
 {
     (void)state;
     static struct world w;
-    for (int mixed = 0; mixed < 3; mixed++) {
+    for (int k = 0; k < 3; k++) {
+        const bool mixed = k == 1, fat = k == 2;
         float hit, wrong;
-        make_world(&w, NIGHT, mixed == 1 ? MIXED : EQUAL, 2);
-        if (mixed == 2)
+        make_world(&w, NIGHT, mixed ? MIXED : EQUAL, 2);
+        if (fat)
             fatten(&w);
-        for (int k = 0; k < VIEWS * PIXELS * 3; k++) // noise
-            w.v.rgb[k] = (uint8_t)(w.v.rgb[k] + (w.v.rgb[k] < 8 ? k * 7919 % 5 : 0));
+        for (int i = 0; i < VIEWS * PIXELS * 3; i++) // noise
+            w.v.rgb[i] = (uint8_t)(w.v.rgb[i] + (w.v.rgb[i] < 8 ? i * 7919 % 5 : 0));
         expect_ok(far_run(&w.run, &w.v, &w.tone, &w.depth));
         shares(&w, &hit, &wrong);
         if (hit < 0.98f || wrong > 0.01f)

@@ -170,6 +170,21 @@ static void test_plane(void **state)
     free_world(&w);
 }
 
+/* The upper third of each view is on the shell. far: (VIEWS, MAP, MAP) room. */
+static struct shell put_far(struct world *w, uint8_t *far, uint8_t kind)
+{
+    const struct shell shell = shell_of(w->cams, VIEWS);
+    w->depth.far = far;
+    for (int k = 0; k < VIEWS * MAP * MAP; k++) {
+        const int y = k / MAP % MAP, x = k % MAP;
+        far[k] = y < MAP / 3 ? kind : 0;
+        if (far[k])
+            w->depth.depth[k] =
+                shell_depth(&shell, &w->cams[k / (MAP * MAP)], 2 * (float)x + 1, 2 * (float)y + 1);
+    }
+    return shell;
+}
+
 /* The upper third of each view is sky, saturated in all views but the first: it is on the shell,
  * has the radiance of the view that tells it, lets nothing through, and no guess about other
  * pixels stands on it. */
@@ -181,17 +196,10 @@ static void test_sky_is_on_the_shell(void **state)
     static uint8_t far[VIEWS * MAP * MAP];
     int sky = 0, seen[2] = {0};
     make_world(&w);
-    const struct shell shell = shell_of(w.cams, VIEWS);
-    w.depth.far = far;
-    for (int k = 0; k < VIEWS * MAP * MAP; k++) {
-        const int y = k / MAP % MAP, x = k % MAP;
-        far[k] = y < MAP / 3;
-        if (far[k])
-            w.depth.depth[k] =
-                shell_depth(&shell, &w.cams[k / (MAP * MAP)], 2 * (float)x + 1, 2 * (float)y + 1);
-        if (y >= MAP / 3 && y < MAP / 2)
+    const struct shell shell = put_far(&w, far, FAR_SKY);
+    for (int k = 0; k < VIEWS * MAP * MAP; k++)
+        if (k / MAP % MAP >= MAP / 3 && k / MAP % MAP < MAP / 2)
             w.depth.conf[k] = 0;
-    }
     for (int i = 0; i < VIEWS; i++)
         memset(w.v.rgb + (size_t)i * SIZE * SIZE * 3, i ? 255 : 200, SIZE / 3 * SIZE * 3);
     for (int y = 0; y < SIZE / 3; y++)
@@ -229,15 +237,7 @@ static void test_black_backdrop_is_as_dark_as_its_mean(void **state)
     static uint8_t far[VIEWS * MAP * MAP];
     double sum = 0, n = 0;
     make_world(&w);
-    const struct shell shell = shell_of(w.cams, VIEWS);
-    w.depth.far = far;
-    for (int k = 0; k < VIEWS * MAP * MAP; k++) {
-        const int y = k / MAP % MAP, x = k % MAP;
-        far[k] = y < MAP / 3 ? FAR_BLACK : 0;
-        if (far[k])
-            w.depth.depth[k] =
-                shell_depth(&shell, &w.cams[k / (MAP * MAP)], 2 * (float)x + 1, 2 * (float)y + 1);
-    }
+    const struct shell shell = put_far(&w, far, FAR_BLACK);
     for (int k = 0; k < VIEWS * SIZE * SIZE; k++)
         if (k % (SIZE * SIZE) < SIZE / 3 * SIZE)
             memset(w.v.rgb + (size_t)k * 3, ((unsigned)k * 2654435761u) >> 29 ? 0 : 24, 3);
