@@ -241,7 +241,16 @@ static err_t check_found(const struct rigcal *c)
     return OK;
 }
 
-/* Takes in which a camera stood elsewhere are named. */
+/* What a camera sees is as far off, px of the photographs as they were taken. */
+static double taken_px(const struct rigcal *c, int view, float off_px)
+{
+    const struct shot *s = lenses_shot(c->job->take[0].capture, name_of(c, view));
+    const struct extent *px = &c->shape.extent[view];
+    return (double)off_px * num_max(s->taken_w, s->taken_h) / num_max(px->w, px->h);
+}
+
+/* Takes in which a camera stood elsewhere are named, but not by less than a pixel: small photographs
+ * do not tell it from errors of the calibration. */
 static err_t check_take(struct rigcal *c, int i, struct rigcheck_camera *out)
 {
     const struct part *p = &c->part[i];
@@ -252,11 +261,11 @@ static err_t check_take(struct rigcal *c, int i, struct rigcheck_camera *out)
     for (int k = 0; k < t.n; k++)
         t.obs[k].track += p->first_track;
     for (int k = 0; k < c->shape.n && !e; k++)
-        if (out[k].moved)
+        if (out[k].moved && taken_px(c, k, out[k].off_px) > 1)
             job_result_warn(c->out->notes,
                             "%.80s: the camera of %.64s stands %.1f px off where the other takes "
                             "have it: leave this take out, or the others",
-                            c->job->take[i].name, name_of(c, k), (double)out[k].off_px);
+                            c->job->take[i].name, name_of(c, k), taken_px(c, k, out[k].off_px));
     return e;
 }
 
