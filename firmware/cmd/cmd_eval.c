@@ -530,17 +530,20 @@ static err_t read_scene(struct state *st, struct request *rq)
 
 /* ---- command ---- */
 
-static err_t list_exposures(const struct state *st, const struct request *rq,
-                            struct evaluate_seen *out)
+static err_t list_exposures(struct state *st, const struct request *rq, struct evaluate_seen *out)
 {
     const struct views *v = &st->job.views;
     char path[FILE_PATH_CAP];
+    err_t e = OK;
+    if (rq->scene)
+        e = file_join(rq->scene, "report.json", path); // of every place its first view
+    if (!e && rq->scene)
+        e = stored_exposures(path, out);
+    if (!e && rq->scene)
+        evaluate_compare_units(out, &st->test.capture, &st->job);
     for (int i = 0; i < v->n + v->n_more; i++)
         evaluate_see(out, views_set_log2t(v, i));
-    if (!rq->scene)
-        return OK;
-    err_t e = file_join(rq->scene, "report.json", path); // views are the first ones of places
-    return e ? e : stored_exposures(path, out);
+    return e;
 }
 
 /* The release gives LPIPS values in [0, 1]; it was trained with [-1, 1]. */

@@ -60,6 +60,7 @@ enum { IMAGES = 3, LENS_SIDES = 2 }; // of the view at most, what is drawn for a
 
 static const double STOPS_BELOW = 14; // radiance that counts, below the 99 % quantile of the truth
 static const float SAME_EXPOSURE = 0.05f; // stops
+static const float STRANGE_STOPS = 5;     // from the middle exposure to that of other pictures
 
 static void add_score(struct evaluate_score *s, const struct evaluate_score *one)
 {
@@ -189,6 +190,33 @@ void evaluate_see(struct evaluate_seen *s, float log2t)
 {
     if (s->n < EVALUATE_EXPOSURES && !is_seen(s, log2t))
         s->log2t[s->n++] = log2t;
+}
+
+static float middle_of(const struct evaluate_seen *s)
+{
+    float least = s->log2t[0], most = least;
+    for (int i = 1; i < s->n; i++) {
+        least = fminf(least, s->log2t[i]);
+        most = fmaxf(most, s->log2t[i]);
+    }
+    return (least + most) / 2;
+}
+
+void evaluate_compare_units(const struct evaluate_seen *inputs, const struct capture *test,
+                            struct job_result *j)
+{
+    struct evaluate_seen seen = {0};
+    if (!inputs->n || !test->n)
+        return;
+    for (int i = 0; i < test->n; i++)
+        evaluate_see(&seen, log2f((float)test->shots[i].exposure));
+    const float away = middle_of(&seen) - middle_of(inputs);
+    if (fabsf(away) > STRANGE_STOPS)
+        job_result_warn(j,
+                        "the test pictures are exposed %.0f stops %s than the scene's photographs: "
+                        "unless they were taken so, one of the two has its exposures in another "
+                        "unit (EXIF has seconds, exposure.json may have any)",
+                        (double)fabsf(away), away > 0 ? "more" : "less");
 }
 
 static err_t measure_ldr(struct bench *b, const struct shot *s, const struct view *v)

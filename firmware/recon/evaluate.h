@@ -79,6 +79,10 @@ struct evaluate_seen {
 /* Add one, if there is none like it; more than there is room for are forgotten. */
 void evaluate_see(struct evaluate_seen *s, float log2t);
 
+/* A warning if the exposures of the test pictures cannot be in the unit of those of `inputs`. */
+void evaluate_compare_units(const struct evaluate_seen *inputs, const struct capture *test,
+                            struct job_result *j);
+
 struct evaluate_job {
     const struct imageset *test;
     const struct evaluate_seen *inputs;
