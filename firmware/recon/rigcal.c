@@ -249,8 +249,8 @@ static double taken_px(const struct rigcal *c, int view, float off_px)
     return (double)off_px * num_max(s->taken_w, s->taken_h) / num_max(px->w, px->h);
 }
 
-/* Takes in which a camera stood elsewhere are named, but not by less than a pixel: small photographs
- * do not tell it from errors of the calibration. */
+/* Takes in which a camera stood elsewhere are named, but not by less than a pixel: small
+ * photographs do not tell it from errors of the calibration. */
 static err_t check_take(struct rigcal *c, int i, struct rigcheck_camera *out)
 {
     const struct part *p = &c->part[i];

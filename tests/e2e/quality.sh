@@ -59,7 +59,8 @@ grep -q 'another unit' "$ERR" && fail "exposures of its own photographs seem str
 cp -r "$OUT/staggered" "$OUT/units"
 sed -i 's/: \([0-9.]*\)/: \1e-3/' "$OUT/units/exposure.json"
 succeed eval --data "$OUT/units" --scene "$OUT/eight"
-grep -q 'exposed 1[01] stops less .* another unit' "$ERR" || fail "milliseconds for seconds: $(cat "$ERR")"
+grep -q 'exposed 1[01] stops less .* another unit' "$ERR" ||
+    fail "milliseconds for seconds: $(cat "$ERR")"
 expect 2 '--scene has its input views' eval --data "$OUT/set" --scene "$OUT/eight" --views 3
 expect 1 'nowhere/scene.hdrig' eval --data "$OUT/set" --scene "$OUT/nowhere"
 

@@ -48,9 +48,10 @@ cmp -s "$OUT/first.json" "$RIG" && fail "the second take changes nothing"
 
 # a rig photographs other worlds, and is calibrated from them as well; camera 5 fits them worst, by
 # half a pixel of these small photographs
-OTHER=tests/data/rig.json
+SIX=tests/data/rig.json
 for seed in 62 63; do
-    succeed simulate --rig "$OTHER" --seed $seed --samples 1 --exposures 0.25,1,4 --out "$OUT/w$seed"
+    succeed simulate --rig "$SIX" --seed $seed --samples 1 --exposures 0.25,1,4 \
+        --out "$OUT/w$seed"
 done
 [ "$(grep -c '^[0-9]* PINHOLE 224 224 ' "$OUT/w62/sparse/0/cameras.txt")" = 6 ] ||
     fail "a simulated rig has cameras $(cat "$OUT/w62/sparse/0/cameras.txt")"
@@ -63,19 +64,19 @@ awk '/"fx"/ {
         if (away ^ 2 > 0.02 ^ 2) exit 1
         n++
     }
-    END { if (n != 12) exit 1 }' "$OTHER" "$OUT/again.json" ||
-    fail "focal lengths of the rig and again: $(grep -ho '"fx": [0-9.]*' "$OTHER" "$OUT/again.json")"
+    END { if (n != 12) exit 1 }' "$SIX" "$OUT/again.json" ||
+    fail "focal lengths of the rig and again: $(grep -ho '"fx": [0-9.]*' "$SIX" "$OUT/again.json")"
 
 # the fourth camera had been knocked by 0.7 degrees in one take: said where all can be placed, else
 # it is the camera that cannot
-awk -F', ' -v OFS=', ' '/"q":/ && ++n == 4 { $2 += 0.006 } 1' "$OTHER" >"$OUT/knocked.json"
+awk -F', ' -v OFS=', ' '/"q":/ && ++n == 4 { $2 += 0.006 } 1' "$SIX" >"$OUT/knocked.json"
 succeed simulate --rig "$OUT/knocked.json" --seed 8 --samples 1 --exposures 0.25,1,4 --out "$OUT/w8"
 "$HDRIG" rig calibrate "$OUT/w62" "$OUT/w63" "$OUT/w8" --out "$OUT/again.json" \
     --set cameras.same=size >/dev/null 2>"$ERR"
 grep -Eq 'w8: the camera of train_ldr_003_0.png stands .* leave this take out|the camera of '\
 'train_ldr_003_0.png has too few points that agree .* or leave out' "$ERR" ||
     fail "a take of another rig is not named: $(cat "$ERR")"
-expect 2 'no --views, --lens' simulate --rig "$OTHER" --views 4 --out "$OUT/refused"
+expect 2 'no --views, --lens' simulate --rig "$SIX" --views 4 --out "$OUT/refused"
 expect 2 'none.json' simulate --rig "$OUT/none.json" --out "$OUT/refused"
 
 # known, and as the calibration says, also as a former version wrote it
