@@ -332,6 +332,7 @@ void response_tabulate(const struct tonemap *tone, struct response_table *out)
             float err = noise / fmaxf(slope, 1e-6f) / good;
             float end = fminf(fminf((float)z - 1.0f, 253.0f - (float)z) / 6.0f, 1.0f);
             out->x[c][z] = x;
+            out->linear[c][z] = exp2f(x);
             out->weight[c][z] = fmaxf(end, 0.0f) / (1.0f + err * err);
         }
     }

@@ -14,6 +14,7 @@
 /* The inverse curve by display value. */
 struct response_table {
     float x[3][256];      // log2(radiance) + log2 t - mid_log2t
+    float linear[3][256]; // 2^x
     float weight[3][256]; // 0 (black, saturated) .. 1 (accurate)
 };
 

@@ -105,7 +105,7 @@ static err_t prepare_view(void *ctx, int view, int worker)
     (void)worker;
     for (int i = 0; i < map->w * map->h; i++) {
         const size_t at = map->at + (size_t)i;
-        c->lit[at] = mean_light(c, view, i, &light[i]) && !(c->d->far && c->d->far[at]);
+        c->lit[at] = mean_light(c, view, i, &light[i]) && !sweep_far(c->d, at);
         c->sure[at] = c->lit[at] && visibility_confident(&c->vis, at);
     }
     for (int y = 0; y < map->h; y++)

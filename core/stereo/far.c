@@ -60,7 +60,7 @@ struct far {
     const struct views *v;
     struct depthmaps *d;
     struct shell shell;
-    float linear[3][256];  // table of the response for exposure shift 0
+    struct response_table table;
     struct colour *colour; // (maps)
     int32_t *label;        // (maps) region of a pixel, -1: none
     int32_t *stack;        // (workers, most pixels)
@@ -88,17 +88,17 @@ static struct colour mean_colour(const struct far *s, const uint8_t *rgb, int w,
         float sum = 0, bright = 0;
         for (int k = 0; k < n; k++) {
             const size_t at = (size_t)(k / s->d->scale) * (size_t)w + (size_t)(k % s->d->scale);
-            sum += s->linear[c][rgb[3 * at + (size_t)c]];
+            sum += s->table.linear[c][rgb[3 * at + (size_t)c]];
             bright += (float)rgb[3 * at + (size_t)c];
         }
         all += sum;
         out.log2[c] = log2f(sum / (float)n + 1e-9f) - shift;
         if (bright > (float)(BLOWN * n)) {
             out.blown |= (uint8_t)(1 << c);
-            out.log2[c] = log2f(s->linear[c][BLOWN]) - shift;
+            out.log2[c] = s->table.x[c][BLOWN] - shift;
         } else if (bright < (float)(BLACK * n)) {
             out.black |= (uint8_t)(1 << c);
-            out.log2[c] = log2f(s->linear[c][BLACK]) - shift;
+            out.log2[c] = s->table.x[c][BLACK] - shift;
         }
     }
     out.light = fmaxf(log2f(all / (float)(3 * n) + 1e-9f) - shift, dark);
@@ -123,8 +123,7 @@ static err_t read_view(void *ctx, int i, int worker)
             sorted[n++] = to->light;
     }
     const bool shows = (float)n > LEAST * (float)extent_pixels(map);
-    s->telling[i] =
-        shows && log2f(s->linear[1][BLOWN]) - shift > num_quantile(sorted, n, ELSE) + TELLS;
+    s->telling[i] = shows && s->table.x[1][BLOWN] - shift > num_quantile(sorted, n, ELSE) + TELLS;
     const float dark = s->black_level - shift;
     s->black_tells[i] =
         shows && dark < s->darkest + TELLS && dark < num_quantile(sorted, n, BRIGHT) - TELLS;
@@ -335,8 +334,7 @@ static bool resembles_sky(const struct far *s, const struct region *r, int view)
 {
     for (int c = 0; c < 3; c++) {
         const double n = r->known[c][1], all = s->sky.known[c][1];
-        const double bound =
-            (double)(log2f(s->linear[c][BLOWN]) - s->v->log2t[view] + s->v->mid_log2t);
+        const double bound = (double)(s->table.x[c][BLOWN] - s->v->log2t[view] + s->v->mid_log2t);
         if (!(all > 0))
             return false;
         if (2 * n < r->area ? s->sky.known[c][0] / all < bound - (double)ALIKE
@@ -467,17 +465,14 @@ err_t far_run(const struct run *r, const struct views *v, const struct tonemap *
 {
     struct far s = {.run = r, .v = v, .d = d, .shell = shell_of(v->cams, v->n)};
     const size_t mark = arena_mark(r->tmp);
-    struct response_table table;
     if (!(s.shell.radius > 0))
         return OK;
     err_t e = layout_far(d, r->keep, extent_total(d->extent, d->n));
     if (!e)
         e = layout(&s, r->tmp, d->extent, d->n, pool_size(r->pool));
     if (!e) {
-        response_tabulate(tone, &table);
-        for (int k = 0; k < 3 * 256; k++)
-            s.linear[k / 256][k % 256] = exp2f(table.x[k / 256][k % 256]);
-        s.black_level = log2f(s.linear[1][BLACK]);
+        response_tabulate(tone, &s.table);
+        s.black_level = s.table.x[1][BLACK];
         s.darkest = INFINITY;
         for (int i = 0; i < v->n; i++)
             s.darkest = fminf(s.darkest, s.black_level - (v->log2t[i] - v->mid_log2t));

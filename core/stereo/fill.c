@@ -29,11 +29,6 @@ static float limit(float x)
     return fminf(fmaxf(x, -STOPS), STOPS);
 }
 
-static bool is_far(const struct depthmaps *d, size_t at)
-{
-    return d->far && d->far[at];
-}
-
 /* Of pixel i of the map, px of the view. */
 static void pixel_centre(const struct depthmaps *d, int view, size_t i, float uv[2])
 {
@@ -103,7 +98,7 @@ static float middle_rho(struct fill *f, int view)
     const size_t all = extent_pixels(map);
     size_t n = 0;
     for (size_t i = 0; i < all; i++)
-        if (f->depth->conf[map->at + i] >= SWEEP_CONF_USABLE && !is_far(f->depth, map->at + i))
+        if (f->depth->conf[map->at + i] >= SWEEP_CONF_USABLE && !sweep_far(f->depth, map->at + i))
             f->sort[n++] = -log2f(f->depth->depth[map->at + i]);
     for (size_t i = 0; n == 0 && i < all; i++)
         f->sort[i] = log2f(f->rho[i]);
@@ -116,7 +111,7 @@ static void fill_depth(const struct fill *f, int view, float middle, float *out)
     const struct camera *c = &f->views->cams[view];
     for (size_t i = 0; i < extent_pixels(map); i++) {
         const size_t at = map->at + i;
-        const bool far = is_far(f->depth, at);
+        const bool far = sweep_far(f->depth, at);
         float uv[2], *p = out + i * FILL_INPUT;
         pixel_centre(f->depth, view, i, uv);
         p[FILL_CONF] = f->depth->conf[at];
@@ -200,7 +195,7 @@ static void add_view(const struct fill *f, int view, int j, float *out)
         const size_t at = from->at + i;
         float point[3], uvz[3] = {0, 0, f->depth->depth[at]};
         struct projected p;
-        if (!visibility_confident(&f->vis, at) || is_far(f->depth, at))
+        if (!visibility_confident(&f->vis, at) || sweep_far(f->depth, at))
             continue;
         pixel_centre(f->depth, j, i, uvz);
         visibility_unproject(&f->vis, j, uvz, point);
@@ -291,8 +286,7 @@ size_t fill_take(struct fill *f, int view, const float *answer, struct depthmaps
     guess_smooth(&f->guess, d, view, f->rho);
     for (size_t i = 0; i < extent_pixels(map); i++, answer += FILL_ANSWER) {
         const size_t at = map->at + i;
-        const uint8_t was = d->far ? d->far[at] : 0,
-                      far = was || f->sky ? sees_shell(was, answer) : 0;
+        const uint8_t was = sweep_far(d, at), far = was || f->sky ? sees_shell(was, answer) : 0;
         if (far == was && (far || !is_lost(d->conf[at], answer)))
             continue;
         float uvz[3] = {0, 0, 1.0f / (f->rho[i] * exp2f(limit(answer[FILL_RESIDUAL])))};

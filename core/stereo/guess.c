@@ -15,12 +15,6 @@ static const float FARTHEST =
     0.05f; // share of the usable pixels around a guess that may lie behind it
 static const float AROUND = 0.3f; // least share of usable pixels in the blocks around
 
-/* Whether a pixel of the maps sees the shell. */
-static bool is_far(const struct depthmaps *d, size_t at)
-{
-    return d->far && d->far[at];
-}
-
 /* Blocks per axis of a map. */
 static int blocks_across(int w)
 {
@@ -46,7 +40,7 @@ void guess_smooth(const struct guess_work *g, const struct depthmaps *d, int vie
     int n = 1;
     for (int i = 0; i < map->w * map->h; i++) {
         float conf = d->conf[map->at + (size_t)i];
-        float c = is_far(d, map->at + (size_t)i) ? 1e-8f : conf * conf + 1e-4f;
+        float c = sweep_far(d, map->at + (size_t)i) ? 1e-8f : conf * conf + 1e-4f;
         level[0].px[2 * i] = c / d->depth[map->at + (size_t)i];
         level[0].px[2 * i + 1] = c;
     }
@@ -79,7 +73,7 @@ void guess_shell(const struct depthmaps *d, int view, float *rho)
 {
     const struct extent *map = &d->extent[view];
     for (size_t i = 0; i < extent_pixels(map); i++)
-        if (is_far(d, map->at + i))
+        if (sweep_far(d, map->at + i))
             rho[i] = 1.0f / d->depth[map->at + i];
 }
 
@@ -95,7 +89,7 @@ static void sum_sure(const struct guess_work *g, const struct depthmaps *d, int 
     for (int i = 0; i < w * map->h; i++) {
         float bin = range[1] > 0.0f ? (rho[i] - range[0]) / range[1] + 0.5f : 0.0f;
         int b = (int)fminf(fmaxf(bin, 0.0f), (float)(BINS - 1));
-        if (conf[i] >= SWEEP_CONF_USABLE && !is_far(d, map->at + (size_t)i))
+        if (conf[i] >= SWEEP_CONF_USABLE && !sweep_far(d, map->at + (size_t)i))
             g->sum[(i / w / BLOCK + 1) * row + (i % w / BLOCK + 1) * BINS + b]++;
     }
     for (int k = 0; k < n * down; k++) {
@@ -137,7 +131,7 @@ void guess_limit(const struct guess_work *g, const struct depthmaps *d, int view
     const float *conf = d->conf + map->at;
     size_t n = 0;
     for (int i = 0; i < w * map->h; i++) {
-        if (conf[i] >= SWEEP_CONF_USABLE && !is_far(d, map->at + (size_t)i))
+        if (conf[i] >= SWEEP_CONF_USABLE && !sweep_far(d, map->at + (size_t)i))
             g->levels[n++] = rho[i];
     }
     if (n == 0)

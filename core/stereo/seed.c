@@ -321,7 +321,7 @@ static bool is_black(const struct seed *s, const struct patch *p)
 {
     const struct depthmaps *d = s->in->depth;
     const struct extent *map = &d->extent[p->view];
-    return d->far && d->far[map->at + (size_t)p->y * (size_t)map->w + (size_t)p->x] == FAR_BLACK;
+    return sweep_far(d, map->at + (size_t)p->y * (size_t)map->w + (size_t)p->x) == FAR_BLACK;
 }
 
 static void emit_splat(struct seed *s, struct patch *p)
@@ -646,7 +646,7 @@ static void measure_open(struct seed *s)
         const struct extent *map = &d->extent[i];
         size_t n = 0;
         for (size_t k = map->at; k < map->at + extent_pixels(map); k++)
-            if (d->conf[k] >= SWEEP_CONF_USABLE && !(d->far && d->far[k]))
+            if (d->conf[k] >= SWEEP_CONF_USABLE && !sweep_far(d, k))
                 s->smooth[n++] = d->depth[k];
         s->open[i] = OPEN * num_quantile(s->smooth, n, NEAREST);
     }

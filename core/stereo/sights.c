@@ -15,8 +15,6 @@ void sights_set(struct sights *s, const struct views *v, const struct depthmaps 
     s->views = v;
     s->depth = d;
     response_tabulate(tone, &s->table);
-    for (int k = 0; k < 3 * 256; k++)
-        s->linear[k / 256][k % 256] = exp2f(s->table.x[k / 256][k % 256]);
 }
 
 static const uint8_t *pixel_at(const struct sights *s, int view, int x, int y)
@@ -59,7 +57,7 @@ struct sight sights_look(const struct sights *s, int view, const float *at, floa
             continue;
         for (int c = 0; c < 3; c++) {
             float w = alike ? 1 : s->table.weight[c][p[c]] + 1e-4f;
-            value[c] += w * s->linear[c][p[c]];
+            value[c] += w * s->table.linear[c][p[c]];
             weight[c] += w;
         }
     }

@@ -10,7 +10,6 @@ struct sights {
     const struct views *views;
     const struct depthmaps *depth; // of these views
     struct response_table table;   // of the response
-    float linear[3][256];          // 2^table.x
 };
 
 /* v and d must outlive *s. */

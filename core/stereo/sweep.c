@@ -56,7 +56,6 @@ struct sweep {
     const struct views *v;
     struct depthmaps *out;
     struct response_table table;
-    float linear[3][256];           // 2^table.x
     struct transfer_pose *pose;     // (n)
     struct light_map *light_map[2]; // (n) fine, coarse
     int (*near)[CHECK_MAX];         // (n) other views, best first
@@ -212,8 +211,8 @@ static void mean_light(const struct sweep *s, const uint8_t *rgb, int w, float s
     for (int k = 0; k < scale * scale; k++) {
         const uint8_t *p = rgb + 3 * ((size_t)(k / scale) * (size_t)w + (size_t)(k % scale));
         for (int c = 0; c < 3; c++) {
-            sum += s->linear[c][p[c]];
-            known += s->linear[c][p[c]] * s->table.weight[c][p[c]];
+            sum += s->table.linear[c][p[c]];
+            known += s->table.linear[c][p[c]] * s->table.weight[c][p[c]];
         }
     }
     out[0] = log2f(sum / (float)(3 * scale * scale) + 1e-9f) - shift;
@@ -726,8 +725,6 @@ err_t sweep_run(const struct run *r, const struct views *v, const struct tonemap
         e = layout(&s, r->tmp, out->extent, pool_size(r->pool));
     if (!e) {
         response_tabulate(tone, &s.table);
-        for (int k = 0; k < 3 * 256; k++)
-            s.linear[k / 256][k % 256] = exp2f(s.table.x[k / 256][k % 256]);
         for (int i = 0; i < v->n; i++)
             transfer_pose_set(&v->cams[i], &s.pose[i]);
         e = pool_for(r->pool, v->n, make_light_map, &s);

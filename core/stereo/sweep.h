@@ -28,6 +28,12 @@ struct depthmaps {
                            // (core/stereo/far.h), 0: does not; NULL: not known
 };
 
+/* What a pixel of the maps sees of what is infinitely far, 0: nothing. */
+static inline uint8_t sweep_far(const struct depthmaps *d, size_t at)
+{
+    return d->far ? d->far[at] : 0;
+}
+
 /* Whether the mask hides some of pixel i of the view's map. */
 static inline bool sweep_hides(const struct depthmaps *d, const struct views *v, int view, int i)
 {
