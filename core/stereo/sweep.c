@@ -13,6 +13,7 @@
 #include "core/base/share.h"
 #include "core/photo/response.h"
 #include "core/stereo/sgm.h"
+#include "core/stereo/speck.h"
 #include "core/stereo/transfer.h"
 
 #include <math.h>
@@ -75,6 +76,7 @@ struct scratch {
     float *ring;     // (NEAR_MAX, TAPS, SUMS, x) moments of the rows of the window
     float *column;   // (NEAR_MAX, SUMS, x + 2 RADIUS) sums of `ring`
     int16_t *best;   // (NEAR_MAX / 2 + 1, x) smallest costs of one row; then one row to merge
+    int *list;       // (y, x)
 };
 
 /* One sweep of one view. */
@@ -547,7 +549,6 @@ static bool is_bounded(const struct sweep *s, int i, const float *a, const float
 static err_t confirm_view(void *ctx, int i, int worker)
 {
     struct sweep *s = ctx;
-    (void)worker;
     const struct extent *own = &s->out->extent[i];
     const int w = own->w, n = s->n_near[i];
     const float *rho = s->rho + own->at, *sure = s->sure + own->at;
@@ -581,6 +582,9 @@ static err_t confirm_view(void *ctx, int i, int worker)
         s->out->depth[own->at + (size_t)at] = 1.0f / fmaxf(sum / weight, floor);
         s->out->conf[own->at + (size_t)at] = fminf(votes / 2.0f, 1.0f) * (0.5f + 0.5f * sure[at]);
     }
+    speck_drop(&(struct speck_map){w, own->h, s->out->depth + own->at, s->out->conf + own->at,
+                                   SWEEP_CONF_USABLE, SWEEP_CONF_CONFIRMED,
+                                   s->scratch[worker].list});
     return OK;
 }
 
@@ -609,6 +613,8 @@ static err_t layout_scratch(struct scratch *m, struct arena *a, struct extent mo
         e = arena_alloc(a, NEAR_MAX * SUMS * (w + 2 * RADIUS), sizeof *m->column, &m->column);
     if (!e)
         e = arena_alloc(a, ((NEAR_MAX + 1) / 2 + 1) * w, sizeof *m->best, &m->best);
+    if (!e)
+        e = arena_alloc(a, most.at, sizeof *m->list, &m->list);
     return e;
 }
 
