@@ -7,8 +7,9 @@ enum { LEAST = 6, SIDES = 4 }; // px of a piece that stays
 
 static const float ALIKE = 0.03f; // relative difference of depths within a piece
 
-/* Pixels that were visited have their confidence negative.
- * Add the pixels around number k of the piece that belong to it. */
+/* Pixels that were visited have a negative confidence. */
+
+/* Add the pixels around number k of the piece that belong to it. */
 static int add_around(const struct speck_map *m, int k, int n)
 {
     const int at = m->list[k], x = at % m->w, y = at / m->w;

@@ -530,17 +530,22 @@ static err_t read_scene(struct state *st, struct request *rq)
 
 /* ---- command ---- */
 
+/* Exposures in the unit of the scene; those of the test pictures should be in it, too. */
+static err_t list_stored(struct state *st, const char *scene, struct evaluate_seen *out)
+{
+    char path[FILE_PATH_CAP];
+    err_t e = file_join(scene, "report.json", path); // of every place its first view
+    if (!e)
+        e = stored_exposures(path, out);
+    if (!e)
+        evaluate_compare_units(out, &st->test.capture, &st->job);
+    return e;
+}
+
 static err_t list_exposures(struct state *st, const struct request *rq, struct evaluate_seen *out)
 {
     const struct views *v = &st->job.views;
-    char path[FILE_PATH_CAP];
-    err_t e = OK;
-    if (rq->scene)
-        e = file_join(rq->scene, "report.json", path); // of every place its first view
-    if (!e && rq->scene)
-        e = stored_exposures(path, out);
-    if (!e && rq->scene)
-        evaluate_compare_units(out, &st->test.capture, &st->job);
+    err_t e = rq->scene ? list_stored(st, rq->scene, out) : OK;
     for (int i = 0; i < v->n + v->n_more; i++)
         evaluate_see(out, views_set_log2t(v, i));
     return e;
