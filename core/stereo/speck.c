@@ -3,7 +3,7 @@
 #include <math.h>
 #include <stdbool.h>
 
-enum { LEAST = 6, SIDES = 4 }; // px of a piece that stays
+enum { LEAST = 24, SIDES = 4 }; // px of a piece that stays
 
 static const float ALIKE = 0.03f; // relative difference of depths within a piece
 

@@ -13,7 +13,7 @@ struct speck_map {
     int *list;               // (h, w) scratch
 };
 
-/* Pieces of usable depth (neighbours within 3 %) of less than 6 px, none of which several views
+/* Pieces of usable depth (neighbours within 3 %) of less than 24 px, none of which several views
  * confirm: their confidence becomes 0.
  * returns: number of pixels. */
 int speck_drop(const struct speck_map *m);

@@ -1,18 +1,18 @@
 /* For each view: choose neighbours by distance and exposure; sweep planes of equal inverse depth
- * rho, one step being at most about one pixel in the widest neighbour; compare 5 x 5 windows of
- * log2 luminance by the variance of their difference relative to the contrast of the view (a
- * correlation that is invariant to exposure and requires equal contrast) and by the mean difference
- * (which distinguishes repetitions of a pattern); keep the best half of the neighbours, of which
- * the others are at most a little worse than the best (occlusion); smooth by eight-path semi-global
- * matching (Hirschmueller, PAMI 2008); refine by a parabola. A first sweep on quarter size narrows
- * the range of rho. Then points that other views confirm get confidence and the mean of the
- * confirming depths. */
+ * rho, one step being at most about one pixel in the widest neighbour, with the cost of match.h;
+ * keep the best half of the neighbours, of which the others are at most a little worse than the
+ * best (occlusion); smooth by eight-path semi-global matching (Hirschmueller, PAMI 2008); refine by
+ * a parabola. A first sweep on quarter size narrows the range of rho. Then slant.h makes the maps
+ * finer, and points that other views confirm get confidence and the mean of the confirming
+ * depths. */
 #include "core/stereo/sweep.h"
 
 #include "core/base/num.h"
 #include "core/base/share.h"
 #include "core/photo/response.h"
+#include "core/stereo/match.h"
 #include "core/stereo/sgm.h"
+#include "core/stereo/slant.h"
 #include "core/stereo/speck.h"
 #include "core/stereo/transfer.h"
 
@@ -21,51 +21,37 @@
 
 enum {
     WORK_SIZE = 256,  // px; largest size that is matched
-    NEAR_MAX = 4,     // neighbours used for a view
     CHECK_MAX = 10,   // neighbours asked to confirm
     PLANES_MAX = 144, // multiple of 16
     COARSE = 4,       // the first sweep is this much smaller
-    RADIUS = 2,       // px, of the matching window
-    TAPS = 2 * RADIUS + 1,
-    SUMS = 3,        // weighted moments of a window, D = I - J: w, wD, wDD
-    COST_UNIT = 100, // the cost 1.0 in sgm
-    FINE = 3200,     // cost of 1.0 of one neighbour
-    HIDDEN = 320,    // a neighbour adds at most this to the best one, which may see alone
+    SUMS = 3,         // weighted moments of a window, D = I - J: w, wD, wDD
+    COST_UNIT = 100,  // the cost 1.0 in sgm
+    FINE = 3200,      // cost of 1.0 of one neighbour
+    HIDDEN = (int)(MATCH_HIDDEN * FINE),
     COST_TOP = 16000 // above every cost of a neighbour, in FINE
 };
 
 /* Share of the best-seen depth that the nearest one has: ground at the lower border is in few
  * pictures. */
 static const double SEEN_LEAST = 0.15;
-static const double STEP_PX = 1.2;    // path of the fastest pixel per plane
-static const float COST_BLIND = 0.5f; // cost where no pixel has information
-static const float COST_OUTSIDE =
-    0.75f;                             // outside the neighbour: worse than blind, better than wrong
-static const float INSIDE = 1e-4f;     // least weight of a pixel inside the neighbour's picture
-static const float NOISE_VAR = 0.012f; // stops^2 added: noise alone does not correlate
+static const double STEP_PX = 1.2;     // path of the fastest pixel per plane
 static const float FAINT_VAR = 0.002f; // stops^2: fainter windows match any other
 static const float ALIKE = 1;          // stop, two views of one surface
-
-/* Log2 luminance and its reliability, interleaved: both are sampled together. */
-struct light_map {
-    int w, h;
-    float *px; // (h, w, 2)
-};
 
 struct sweep {
     const struct run *run;
     const struct views *v;
     struct depthmaps *out;
     struct response_table table;
-    struct transfer_pose *pose;     // (n)
-    struct light_map *light_map[2]; // (n) fine, coarse
-    int (*near)[CHECK_MAX];         // (n) other views, best first
-    int *n_near;                    // (n)
-    float *rho;                     // (maps) inverse depth before the check
-    float *sure;                    // (maps) 0..1, confidence of the sweep alone
-    float (*range)[2];              // (n) inverse depth of the first and last plane
-    struct scratch *scratch;        // (workers)
-    atomic_int done;                // views
+    struct transfer_pose *pose;       // (n)
+    struct match_light *light_map[2]; // (n) fine, coarse
+    int (*near)[CHECK_MAX];           // (n) other views, best first
+    int *n_near;                      // (n)
+    float *rho, *fine;                // (maps) inverse depth of the sweep, and made finer
+    float *sure, *fine_sure;          // (maps) 0..1, confidence of the matching alone
+    float (*range)[2];                // (n) inverse depth of the first and last plane
+    struct scratch *scratch;          // (workers)
+    atomic_int done;                  // views
 };
 
 /* Scratch of one worker, for the largest picture and number of planes. */
@@ -73,10 +59,12 @@ struct scratch {
     struct sgm sgm;
     float *contrast; // (y, x)
     float *mapped;   // (2, x) where the pixels of one row fall
-    float *ring;     // (NEAR_MAX, TAPS, SUMS, x) moments of the rows of the window
-    float *column;   // (NEAR_MAX, SUMS, x + 2 RADIUS) sums of `ring`
-    int16_t *best;   // (NEAR_MAX / 2 + 1, x) smallest costs of one row; then one row to merge
+    float *ring;     // (MATCH_NEAR_MAX, MATCH_TAPS, SUMS, x) moments of the rows of the window
+    float *column;   // (MATCH_NEAR_MAX, SUMS, x + 2 MATCH_RADIUS) sums of `ring`
+    int16_t *best;   // (MATCH_NEAR_MAX / 2 + 1, x) smallest costs of one row; then one row to merge
     int *list;       // (y, x)
+    float *slope;    // (y, x, 2)
+    float *cost;     // (y, x)
 };
 
 /* One sweep of one view. */
@@ -85,7 +73,7 @@ struct task {
     struct scratch *m;
     int i_view, level, w, rows, planes, n_near; // rows of w px
     float rho0, step;
-    double h[NEAR_MAX][12]; // to each neighbour: pixel, 1, rho -> pixel, homogeneous
+    double h[MATCH_NEAR_MAX][12]; // to each neighbour: pixel, 1, rho -> pixel, homogeneous
 };
 
 /* ---- geometry ---- */
@@ -147,7 +135,7 @@ static void choose_near(struct sweep *s, int i)
 /* Choose the range of inverse depths at which the neighbours share much of the picture. */
 static void choose_range(struct sweep *s, int i)
 {
-    int n = num_min(s->n_near[i], NEAR_MAX);
+    int n = num_min(s->n_near[i], MATCH_NEAR_MAX);
     double baseline = 0.0, seen[TRIES] = {0}, top = 0.0;
     s->range[i][0] = s->range[i][1] = 0.0f;
     for (int k = 0; k < n; k++)
@@ -221,7 +209,7 @@ static void mean_light(const struct sweep *s, const uint8_t *rgb, int w, float s
     out[1] = known / (sum + 1e-12f);
 }
 
-static void shrink_light_map(const struct light_map *fine, const struct light_map *coarse)
+static void shrink_light_map(const struct match_light *fine, const struct match_light *coarse)
 {
     for (int k = 0; k < coarse->w * coarse->h; k++) {
         int x0 = k % coarse->w * COARSE, y0 = k / coarse->w * COARSE;
@@ -257,7 +245,7 @@ static err_t make_light_map(void *ctx, int i, int worker)
 /* ---- matching cost ---- */
 
 /* Map one row of w px at rho into the neighbour `to`, px; u is -1 outside its pixel centres. */
-static void map_row(const double *h, const struct light_map *to, const int y_w[2], double rho,
+static void map_row(const double *h, const struct match_light *to, const int y_w[2], double rho,
                     float *u, float *v)
 {
     const float du[3] = {(float)h[0], (float)h[4], (float)h[8]};
@@ -281,7 +269,7 @@ static void moment_row(const struct task *t, int k, int y, float rho, float *row
 {
     const int w = t->w;
     const float *p = t->s->light_map[t->level][t->i_view].px + 2 * (size_t)y * (size_t)w;
-    const struct light_map *other = &t->s->light_map[t->level][t->s->near[t->i_view][k]];
+    const struct match_light *other = &t->s->light_map[t->level][t->s->near[t->i_view][k]];
     float *u = t->m->mapped, *v = u + w;
     map_row(t->h[k], other, (const int[2]){y, w}, (double)rho, u, v);
     for (int x = 0; x < w; x++) {
@@ -289,44 +277,27 @@ static void moment_row(const struct task *t, int k, int y, float rho, float *row
             row[x] = row[w + x] = row[2 * w + x] = 0.0f;
             continue;
         }
-        int iu = (int)u[x], iv = (int)v[x];
-        float fu = u[x] - (float)iu, fv = v[x] - (float)iv;
-        const float *q = other->px + 2 * ((size_t)iv * (size_t)other->w + (size_t)iu);
-        const float *below = q + 2 * other->w;
-        float value = (q[0] + fu * (q[2] - q[0])) * (1.0f - fv) +
-                      (below[0] + fu * (below[2] - below[0])) * fv;
-        float known = (q[1] + fu * (q[3] - q[1])) * (1.0f - fv) +
-                      (below[1] + fu * (below[3] - below[1])) * fv;
-        float weight = known * p[2 * x + 1] + INSIDE, diff = p[2 * x] - value;
+        float q[2];
+        match_sample(other, u[x], v[x], q);
+        const float weight = q[1] * p[2 * x + 1] + MATCH_INSIDE, diff = p[2 * x] - q[0];
         row[x] = weight;
         row[w + x] = weight * diff;
         row[2 * w + x] = weight * diff * diff;
     }
 }
 
-/* Minimum without a comparison, which would keep GCC from vectorising. */
-static inline float min_float(float a, float b)
-{
-    return 0.5f * (a + b - fabsf(a - b));
-}
-
-/* Cost of one row, in FINE per 1.0, from the column sums (padded by RADIUS on both sides), the
- * weights of the row itself and the contrast of the view: 1 - correlation = half the variance of
- * the difference over the variance of the view. */
+/* Cost of one row, in FINE per 1.0, from the column sums (padded by MATCH_RADIUS on both sides),
+ * the weights of the row itself and the contrast of the view. */
 static void cost_row(const float *column, const float *centre, const float *contrast, int w,
                      int16_t *restrict out)
 {
-    const float *c0 = column, *c1 = c0 + w + 2 * RADIUS, *c2 = c1 + w + 2 * RADIUS;
+    const float *c0 = column, *c1 = c0 + w + 2 * MATCH_RADIUS, *c2 = c1 + w + 2 * MATCH_RADIUS;
     for (int x = 0; x < w; x++) {
-        float m0 = c0[x] + c0[x + 1] + c0[x + 2] + c0[x + 3] + c0[x + 4];
-        float m1 = c1[x] + c1[x + 1] + c1[x + 2] + c1[x + 3] + c1[x + 4];
-        float m2 = c2[x] + c2[x + 1] + c2[x + 2] + c2[x + 3] + c2[x + 4];
-        float inv = 1.0f / (m0 + INSIDE), mean = m1 * inv;
-        float unlike = min_float((m2 * inv - mean * mean) * contrast[x], 2.0f);
-        float cost = 0.35f * unlike + 0.4f * min_float(fabsf(mean), 1.0f) - COST_BLIND;
-        float known = m0 / (m0 + 0.06f * TAPS * TAPS),
-              in = min_float(centre[x] * (1.0f / INSIDE), 1.0f);
-        cost = COST_OUTSIDE + in * (COST_BLIND + known * cost - COST_OUTSIDE);
+        const float m[SUMS] = {c0[x] + c0[x + 1] + c0[x + 2] + c0[x + 3] + c0[x + 4],
+                               c1[x] + c1[x + 1] + c1[x + 2] + c1[x + 3] + c1[x + 4],
+                               c2[x] + c2[x + 1] + c2[x + 2] + c2[x + 3] + c2[x + 4]};
+        const float in = match_min(centre[x] * (1.0f / MATCH_INSIDE), 1.0f);
+        const float cost = MATCH_OUTSIDE + in * (match_cost(m, contrast[x]) - MATCH_OUTSIDE);
         out[x] = (int16_t)(int)(cost * FINE);
     }
 }
@@ -346,11 +317,13 @@ static void keep_smallest(int16_t *restrict low, int16_t *restrict cost, int w)
  * leaves. */
 static void move_window(const struct task *t, int k, int y, float rho)
 {
-    const int w = t->w, enter = y + RADIUS;
-    float *ring = t->m->ring + (size_t)((k * TAPS + (enter + TAPS) % TAPS) * SUMS) * (size_t)w;
-    float *column = t->m->column + (size_t)(k * SUMS) * (size_t)(w + 2 * RADIUS) + RADIUS;
-    for (int q = 0; q < SUMS && enter >= TAPS; q++) {
-        float *restrict c = column + q * (w + 2 * RADIUS);
+    const int w = t->w, enter = y + MATCH_RADIUS;
+    float *ring = t->m->ring +
+                  (size_t)((k * MATCH_TAPS + (enter + MATCH_TAPS) % MATCH_TAPS) * SUMS) * (size_t)w;
+    float *column =
+        t->m->column + (size_t)(k * SUMS) * (size_t)(w + 2 * MATCH_RADIUS) + MATCH_RADIUS;
+    for (int q = 0; q < SUMS && enter >= MATCH_TAPS; q++) {
+        float *restrict c = column + q * (w + 2 * MATCH_RADIUS);
         for (int x = 0; x < w; x++)
             c[x] -= ring[q * w + x];
     }
@@ -360,7 +333,7 @@ static void move_window(const struct task *t, int k, int y, float rho)
     }
     moment_row(t, k, enter, rho, ring);
     for (int q = 0; q < SUMS; q++) {
-        float *restrict c = column + q * (w + 2 * RADIUS);
+        float *restrict c = column + q * (w + 2 * MATCH_RADIUS);
         for (int x = 0; x < w; x++)
             c[x] += ring[q * w + x];
     }
@@ -371,17 +344,18 @@ static void cost_plane(const struct task *t, int d)
     const int w = t->w, kept = (t->n_near + 1) / 2;
     const float rho = t->rho0 + t->step * (float)d;
     struct scratch *m = t->m;
-    memset(m->column, 0, (size_t)(NEAR_MAX * SUMS * (w + 2 * RADIUS)) * sizeof(float));
-    for (int y = -RADIUS; y < t->rows; y++) {
+    memset(m->column, 0, (size_t)(MATCH_NEAR_MAX * SUMS * (w + 2 * MATCH_RADIUS)) * sizeof(float));
+    for (int y = -MATCH_RADIUS; y < t->rows; y++) {
         for (int i = 0; i < kept * w; i++)
             m->best[i] = COST_TOP;
         for (int k = 0; k < t->n_near; k++) {
             move_window(t, k, y, rho);
             if (y < 0)
                 continue;
-            const float *centre = m->ring + (size_t)((k * TAPS + y % TAPS) * SUMS) * (size_t)w;
+            const float *centre =
+                m->ring + (size_t)((k * MATCH_TAPS + y % MATCH_TAPS) * SUMS) * (size_t)w;
             int16_t *cost = m->best + kept * w;
-            cost_row(m->column + k * SUMS * (w + 2 * RADIUS), centre,
+            cost_row(m->column + k * SUMS * (w + 2 * MATCH_RADIUS), centre,
                      m->contrast + (size_t)y * (size_t)w, w, cost);
             for (int j = 0; j < kept; j++)
                 keep_smallest(m->best + j * w, cost, w);
@@ -397,28 +371,17 @@ static void cost_plane(const struct task *t, int d)
     }
 }
 
-/* Half the inverse variance of the window around one pixel of a light_map, the noise included. */
-static float inverse_contrast(const struct light_map *p, int x, int y)
-{
-    const float centre = p->px[2 * (y * p->w + x)];
-    float weight = 1e-6f, sum = 0.0f, square = 0.0f;
-    for (int k = 0; k < TAPS * TAPS; k++) {
-        int u = x + k % TAPS - RADIUS, v = y + k / TAPS - RADIUS;
-        if (u < 0 || v < 0 || u >= p->w || v >= p->h)
-            continue;
-        const float *px = p->px + 2 * (v * p->w + u);
-        weight += px[1];
-        sum += px[1] * (px[0] - centre);
-        square += px[1] * (px[0] - centre) * (px[0] - centre);
-    }
-    float var = (square - sum * sum / weight) / weight;
-    return 0.5f / ((var > 0.0f ? var : 0.0f) + NOISE_VAR);
-}
-
 /* ---- one view ---- */
 
-/* Best plane, refined by a parabola through its neighbours; `sure` from the matching cost there and
- * the contrast of the window. */
+/* Of a matching cost, and of half the inverse variance of the window. */
+static float sure_of(float cost, float contrast)
+{
+    const float var = fmaxf(0.5f / contrast - MATCH_NOISE_VAR, 0.0f);
+    const float match = (MATCH_BLIND - 0.02f - cost) / (0.5f * MATCH_BLIND);
+    return fminf(fmaxf(match, 0.0f), 1.0f) * var / (var + FAINT_VAR);
+}
+
+/* Best plane, refined by a parabola through its neighbours. */
 static void pick_planes(const struct task *t, float *rho, float *sure)
 {
     const int w = t->w, planes = t->planes;
@@ -434,25 +397,24 @@ static void pick_planes(const struct task *t, float *rho, float *sure)
             float bend = lo + hi - 2.0f * mid;
             shift = bend > 0.0f ? 0.5f * (lo - hi) / bend : 0.0f;
         }
-        float cost = (float)t->m->sgm.cost[at + (size_t)(best * w)] / COST_UNIT;
-        float var = fmaxf(0.5f / t->m->contrast[i] - NOISE_VAR, 0.0f);
-        float match = fminf(fmaxf((COST_BLIND - 0.02f - cost) / (0.5f * COST_BLIND), 0.0f), 1.0f);
         rho[i] = t->rho0 + t->step * ((float)best + shift);
-        sure[i] = match * var / (var + FAINT_VAR);
+        sure[i] =
+            sure_of((float)t->m->sgm.cost[at + (size_t)(best * w)] / COST_UNIT, t->m->contrast[i]);
     }
 }
 
-static err_t sweep_level(struct task *t, int level, float *rho, float *sure)
+static void begin_level(struct task *t, int level)
 {
     struct sweep *s = t->s;
     const float *range = s->range[t->i_view];
+    const struct match_light *own = &s->light_map[level][t->i_view];
     t->level = level;
-    t->w = s->light_map[level][t->i_view].w;
-    t->rows = s->light_map[level][t->i_view].h;
-    t->n_near = num_min(s->n_near[t->i_view], NEAR_MAX);
+    t->w = own->w;
+    t->rows = own->h;
+    t->n_near = num_min(s->n_near[t->i_view], MATCH_NEAR_MAX);
     for (int k = 0; k < t->n_near; k++) {
         const int j = s->near[t->i_view][k];
-        const struct light_map *other = &s->light_map[level][j];
+        const struct match_light *other = &s->light_map[level][j];
         transfer_map(&s->pose[t->i_view], &s->pose[j],
                      (const double[4]){t->w, t->rows, other->w, other->h}, t->h[k]);
     }
@@ -460,18 +422,28 @@ static err_t sweep_level(struct task *t, int level, float *rho, float *sure)
     t->rho0 = range[0];
     t->step = (range[1] - range[0]) / (float)(t->planes - 1);
     for (int k = 0; k < t->w * t->rows; k++)
-        t->m->contrast[k] = inverse_contrast(&s->light_map[level][t->i_view], k % t->w, k / t->w);
+        t->m->contrast[k] = match_contrast(own, k % t->w, k / t->w);
+}
+
+static err_t check_cancel(const struct sweep *s, int i)
+{
+    if (s->run->cancel && atomic_load(s->run->cancel))
+        return err_fail(ERR_CANCELLED, "sweep: cancelled at view %d", i);
+    return OK;
+}
+
+static err_t sweep_level(struct task *t, int level, float *rho, float *sure)
+{
+    begin_level(t, level);
     for (int d = 0; d < t->planes; d++)
         cost_plane(t, d);
     t->m->sgm.w = t->w;
     t->m->sgm.h = t->rows;
     t->m->sgm.planes = t->planes;
-    t->m->sgm.light = s->light_map[level][t->i_view].px;
+    t->m->sgm.light = t->s->light_map[level][t->i_view].px;
     sgm_run(&t->m->sgm);
     pick_planes(t, rho, sure);
-    if (s->run->cancel && atomic_load(s->run->cancel))
-        return err_fail(ERR_CANCELLED, "sweep: cancelled at view %d", t->i_view);
-    return OK;
+    return check_cancel(t->s, t->i_view);
 }
 
 /* Narrow the range to the confident pixels of the coarse sweep, with a margin. */
@@ -519,16 +491,54 @@ static err_t match_view(struct sweep *s, int i, int worker)
     return sweep_level(&t, 0, rho, sure);
 }
 
-/* Worker 0, the thread that runs the job, reports the progress of all. */
+/* Worker 0, the thread that runs the job, reports the progress of all: each view is seen twice. */
+static void report(struct sweep *s, int worker)
+{
+    const struct run *r = s->run;
+    const int done = atomic_fetch_add(&s->done, 1) + 1;
+    if (worker == 0 && r->progress)
+        r->progress(r->progress_ctx, "sweep", done, 2 * team_own(r->team, s->v->n), NULL);
+}
+
 static err_t sweep_view(void *ctx, int i, int worker)
 {
     struct sweep *s = ctx;
-    const struct run *r = s->run;
-    err_t e = match_view(s, i, worker);
-    int done = atomic_fetch_add(&s->done, 1) + 1;
-    if (!e && worker == 0 && r->progress)
-        r->progress(r->progress_ctx, "sweep", done, team_own(r->team, s->v->n), NULL);
+    const err_t e = match_view(s, i, worker);
+    if (!e)
+        report(s, worker);
     return e;
+}
+
+/* The maps of all views are there. */
+static err_t slant_view(void *ctx, int i, int worker)
+{
+    struct sweep *s = ctx;
+    struct scratch *m = &s->scratch[worker];
+    struct task t = {.s = s, .m = m, .i_view = i};
+    const size_t at = s->out->extent[i].at, plane = extent_pixels(&s->out->extent[i]);
+    memcpy(s->fine + at, s->rho + at, plane * sizeof *s->fine);
+    memcpy(s->fine_sure + at, s->sure + at, plane * sizeof *s->fine_sure);
+    if (s->range[i][1] > s->range[i][0]) {
+        begin_level(&t, 0);
+        struct slant p = {.own = &s->light_map[0][i],
+                          .n_near = t.n_near,
+                          .contrast = m->contrast,
+                          .step = t.step,
+                          .slope = m->slope,
+                          .cost = m->cost};
+        for (int k = 0; k < t.n_near; k++) {
+            const int j = s->near[i][k];
+            const size_t to = s->out->extent[j].at;
+            p.near[k] = (struct slant_neighbour){
+                .light = &s->light_map[0][j], .rho = s->rho + to, .sure = s->sure + to};
+            memcpy(p.near[k].h, t.h[k], sizeof t.h[k]);
+        }
+        slant_refine(&p, s->fine + at);
+        for (size_t k = 0; k < plane; k++)
+            s->fine_sure[at + k] = sure_of(m->cost[k], m->contrast[k]);
+    }
+    report(s, worker);
+    return check_cancel(s, i);
 }
 
 /* ---- agreement between the views ---- */
@@ -551,7 +561,7 @@ static err_t confirm_view(void *ctx, int i, int worker)
     struct sweep *s = ctx;
     const struct extent *own = &s->out->extent[i];
     const int w = own->w, n = s->n_near[i];
-    const float *rho = s->rho + own->at, *sure = s->sure + own->at;
+    const float *rho = s->fine + own->at, *sure = s->fine_sure + own->at;
     const float *light = s->light_map[0][i].px;
     const float floor = 0.02f * s->range[i][1] + 1e-9f,
                 step = (s->range[i][1] - s->range[i][0]) / 64.0f;
@@ -570,14 +580,14 @@ static err_t confirm_view(void *ctx, int i, int worker)
                 p[1] < 0 || p[0] >= to->w || p[1] >= to->h)
                 continue;
             size_t j = to->at + (size_t)p[1] * (size_t)to->w + (size_t)p[0];
-            float seen = s->rho[j] * (float)p[2];
+            float seen = s->fine[j] * (float)p[2];
             if (fabsf(seen - rho[at]) > fmaxf(step, 0.01f * rho[at]) ||
                 !is_bounded(s, i, light + 2 * at,
                             s->light_map[0][s->near[i][k]].px + 2 * (j - to->at)))
                 continue;
-            sum += seen * s->sure[j];
-            weight += s->sure[j];
-            votes += s->sure[j];
+            sum += seen * s->fine_sure[j];
+            weight += s->fine_sure[j];
+            votes += s->fine_sure[j];
         }
         s->out->depth[own->at + (size_t)at] = 1.0f / fmaxf(sum / weight, floor);
         s->out->conf[own->at + (size_t)at] = fminf(votes / 2.0f, 1.0f) * (0.5f + 0.5f * sure[at]);
@@ -608,13 +618,18 @@ static err_t layout_scratch(struct scratch *m, struct arena *a, struct extent mo
     if (!e)
         e = arena_alloc(a, 2 * w, sizeof *m->mapped, &m->mapped);
     if (!e)
-        e = arena_alloc(a, NEAR_MAX * TAPS * SUMS * w, sizeof *m->ring, &m->ring);
+        e = arena_alloc(a, MATCH_NEAR_MAX * MATCH_TAPS * SUMS * w, sizeof *m->ring, &m->ring);
     if (!e)
-        e = arena_alloc(a, NEAR_MAX * SUMS * (w + 2 * RADIUS), sizeof *m->column, &m->column);
+        e = arena_alloc(a, MATCH_NEAR_MAX * SUMS * (w + 2 * MATCH_RADIUS), sizeof *m->column,
+                        &m->column);
     if (!e)
-        e = arena_alloc(a, ((NEAR_MAX + 1) / 2 + 1) * w, sizeof *m->best, &m->best);
+        e = arena_alloc(a, ((MATCH_NEAR_MAX + 1) / 2 + 1) * w, sizeof *m->best, &m->best);
     if (!e)
         e = arena_alloc(a, most.at, sizeof *m->list, &m->list);
+    if (!e)
+        e = arena_alloc(a, 2 * most.at, sizeof *m->slope, &m->slope);
+    if (!e)
+        e = arena_alloc(a, most.at, sizeof *m->cost, &m->cost);
     return e;
 }
 
@@ -646,7 +661,7 @@ static err_t layout_light_maps(struct sweep *s, struct arena *a, const struct ex
         e = arena_alloc(a, (size_t)n, sizeof *s->light_map[0], &s->light_map[level]);
     for (int i = 0; i < 2 * n && !e; i++) {
         const int shrink = i % 2 ? COARSE : 1;
-        struct light_map one = {.w = maps[i / 2].w / shrink, .h = maps[i / 2].h / shrink};
+        struct match_light one = {.w = maps[i / 2].w / shrink, .h = maps[i / 2].h / shrink};
         e = arena_alloc(a, 2 * (size_t)one.w * (size_t)one.h, sizeof *one.px, &one.px);
         if (!e && !a->counts)
             s->light_map[i % 2][i / 2] = one;
@@ -671,6 +686,10 @@ static err_t layout(struct sweep *s, struct arena *a, const struct extent *maps,
         e = arena_alloc(a, pixels, sizeof *s->rho, &s->rho);
     if (!e)
         e = arena_alloc(a, pixels, sizeof *s->sure, &s->sure);
+    if (!e)
+        e = arena_alloc(a, pixels, sizeof *s->fine, &s->fine);
+    if (!e)
+        e = arena_alloc(a, pixels, sizeof *s->fine_sure, &s->fine_sure);
     if (!e)
         e = arena_alloc(a, (size_t)workers, sizeof *s->scratch, &s->scratch);
     for (int k = 0; k < workers && !e; k++) {
@@ -741,6 +760,12 @@ err_t sweep_run(const struct run *r, const struct views *v, const struct tonemap
         e = share_gather(r, s.rho, sizeof *s.rho, out->extent, v->n);
     if (!e)
         e = share_gather(r, s.sure, sizeof *s.sure, out->extent, v->n);
+    if (!e)
+        e = share_for(r, v->n, slant_view, &s);
+    if (!e)
+        e = share_gather(r, s.fine, sizeof *s.fine, out->extent, v->n);
+    if (!e)
+        e = share_gather(r, s.fine_sure, sizeof *s.fine_sure, out->extent, v->n);
     if (!e)
         e = share_for(r, v->n, confirm_view, &s);
     if (!e)
