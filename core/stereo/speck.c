@@ -3,7 +3,7 @@
 #include <math.h>
 #include <stdbool.h>
 
-enum { LEAST = 24, SIDES = 4 }; // px of a piece that stays
+enum { SIDES = 4 };
 
 static const float ALIKE = 0.03f; // relative difference of depths within a piece
 
@@ -36,7 +36,7 @@ static int find_piece(const struct speck_map *m, int first, bool *speck)
         n = add_around(m, k, n);
         most = fmaxf(most, -m->conf[m->list[k]]);
     }
-    *speck = n < LEAST && most < m->confirmed;
+    *speck = n < m->least && most < m->confirmed;
     return n;
 }
 

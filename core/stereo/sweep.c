@@ -22,6 +22,8 @@
 enum {
     WORK_SIZE = 256,  // px; largest size that is matched
     CHECK_MAX = 10,   // neighbours asked to confirm
+    SPECK_LEAST = 6,  // px, of pieces that one neighbour confirms
+    SPECK_FEW = 24,   // with two neighbours, of which the cost counts the better one alone
     PLANES_MAX = 144, // multiple of 16
     COARSE = 4,       // the first sweep is this much smaller
     SUMS = 3,         // weighted moments of a window, D = I - J: w, wD, wDD
@@ -594,7 +596,7 @@ static err_t confirm_view(void *ctx, int i, int worker)
     }
     speck_drop(&(struct speck_map){w, own->h, s->out->depth + own->at, s->out->conf + own->at,
                                    SWEEP_CONF_USABLE, SWEEP_CONF_CONFIRMED,
-                                   s->scratch[worker].list});
+                                   n > 2 ? SPECK_LEAST : SPECK_FEW, s->scratch[worker].list});
     return OK;
 }
 

@@ -28,10 +28,15 @@ static void put_crumb(int x, int y, int n, float sure)
     }
 }
 
-static int drop(void)
+static int drop_under(int least)
 {
     static int list[PIXELS];
-    return speck_drop(&(struct speck_map){W, H, depth, conf, 0.3f, 0.6f, list});
+    return speck_drop(&(struct speck_map){W, H, depth, conf, 0.3f, 0.6f, least, list});
+}
+
+static int drop(void)
+{
+    return drop_under(24);
 }
 
 static void a_leaning_wall_stays(void **state)
@@ -72,6 +77,7 @@ static void others_stay(void **state)
     assert_float_equal(conf[9 * W + 3], 0.5, 0);
     assert_float_equal(conf[9 * W + 4], 0.7, 1e-6);
     assert_float_equal(conf[9 * W + 18], 0.2, 1e-6);
+    assert_int_equal(drop_under(25), 24);
 }
 
 /* A row does not continue at the other border. */
