@@ -3,8 +3,8 @@
  * keep the best half of the neighbours, of which the others are at most a little worse than the
  * best (occlusion); smooth by eight-path semi-global matching (Hirschmueller, PAMI 2008); refine by
  * a parabola. A first sweep on quarter size narrows the range of rho. Then slant.h makes the maps
- * finer, and points that other views confirm get confidence and the mean of the confirming
- * depths. */
+ * with few neighbours finer, and points that other views confirm get confidence and the mean of the
+ * confirming depths. */
 #include "core/stereo/sweep.h"
 
 #include "core/base/num.h"
@@ -22,6 +22,7 @@
 enum {
     WORK_SIZE = 256,  // px; largest size that is matched
     CHECK_MAX = 10,   // neighbours asked to confirm
+    SLANT_FEW = 3,    // neighbours; with more, scenes are no better for it (tests/measured.md)
     SPECK_LEAST = 6,  // px, of pieces that one neighbour confirms
     SPECK_FEW = 24,   // with two neighbours, of which the cost counts the better one alone
     PLANES_MAX = 144, // multiple of 16
@@ -511,7 +512,7 @@ static err_t sweep_view(void *ctx, int i, int worker)
     return e;
 }
 
-/* The maps of all views are there. */
+/* Make a map with few neighbours finer; the maps of all views are there. */
 static err_t slant_view(void *ctx, int i, int worker)
 {
     struct sweep *s = ctx;
@@ -520,7 +521,7 @@ static err_t slant_view(void *ctx, int i, int worker)
     const size_t at = s->out->extent[i].at, plane = extent_pixels(&s->out->extent[i]);
     memcpy(s->fine + at, s->rho + at, plane * sizeof *s->fine);
     memcpy(s->fine_sure + at, s->sure + at, plane * sizeof *s->fine_sure);
-    if (s->range[i][1] > s->range[i][0]) {
+    if (s->range[i][1] > s->range[i][0] && s->n_near[i] <= SLANT_FEW) {
         begin_level(&t, 0);
         struct slant p = {.own = &s->light_map[0][i],
                           .n_near = t.n_near,
