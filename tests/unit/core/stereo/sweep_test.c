@@ -176,19 +176,48 @@ static void test_depth(void **state)
     free_world(&w);
 }
 
+/* With two neighbours, planes through the pixels confirm more of the leaning wall: 24,233 of 49,152
+ * within 2 %, without them 21,291. */
+static void test_few_views_confirm_a_slope(void **state)
+{
+    (void)state;
+    struct world w;
+    struct depthmaps d;
+    int good = 0, sure = 0;
+    make_world(&w, 2);
+    w.v.n = 3;
+    assert_int_equal(sweep_run(&w.run, &w.v, &w.tone, &d), OK);
+    check_finite(&d);
+    for (int k = 0; k < 3 * SIZE * SIZE; k++) {
+        float light, z = cast(&w.cams[k / (SIZE * SIZE)], (float)(k % SIZE) + 0.5f,
+                              (float)(k / SIZE % SIZE) + 0.5f, &light);
+        if (d.conf[k] <= SWEEP_CONF_CONFIRMED)
+            continue;
+        sure++;
+        good += fabsf(d.depth[k] - z) < 0.02f * z;
+    }
+    if (good < 23000 || good < sure * 3 / 4)
+        fail_msg("%d confirmed, %d within 2 %%", sure, good);
+    free_world(&w);
+}
+
+/* With 3 views each map is made finer as well. */
 static void test_same_for_any_number_of_threads(void **state)
 {
     (void)state;
-    struct world a, b;
-    struct depthmaps da, db;
-    make_world(&a, 1);
-    make_world(&b, 3);
-    assert_int_equal(sweep_run(&a.run, &a.v, &a.tone, &da), OK);
-    assert_int_equal(sweep_run(&b.run, &b.v, &b.tone, &db), OK);
-    assert_memory_equal(da.depth, db.depth, VIEWS * SIZE * SIZE * sizeof(float));
-    assert_memory_equal(da.conf, db.conf, VIEWS * SIZE * SIZE * sizeof(float));
-    free_world(&a);
-    free_world(&b);
+    for (int n = 3; n <= VIEWS; n += VIEWS - 3) {
+        struct world a, b;
+        struct depthmaps da, db;
+        make_world(&a, 1);
+        make_world(&b, 3);
+        a.v.n = b.v.n = n;
+        assert_int_equal(sweep_run(&a.run, &a.v, &a.tone, &da), OK);
+        assert_int_equal(sweep_run(&b.run, &b.v, &b.tone, &db), OK);
+        assert_memory_equal(da.depth, db.depth, (size_t)n * SIZE * SIZE * sizeof(float));
+        assert_memory_equal(da.conf, db.conf, (size_t)n * SIZE * SIZE * sizeof(float));
+        free_world(&a);
+        free_world(&b);
+    }
 }
 
 /* A rank computes some of the maps, and must end with all of them. */
@@ -197,11 +226,13 @@ static err_t compare_on_rank(void *ctx, struct team *t)
     const struct depthmaps *whole = ctx;
     struct world w;
     struct depthmaps d;
+    const size_t bytes = (size_t)whole->n * SIZE * SIZE * sizeof(float);
     make_world(&w, 1);
+    w.v.n = whole->n;
     w.run.team = t;
     err_t e = sweep_run(&w.run, &w.v, &w.tone, &d);
-    if (!e && (memcmp(d.depth, whole->depth, VIEWS * SIZE * SIZE * sizeof(float)) != 0 ||
-               memcmp(d.conf, whole->conf, VIEWS * SIZE * SIZE * sizeof(float)) != 0))
+    if (!e &&
+        (memcmp(d.depth, whole->depth, bytes) != 0 || memcmp(d.conf, whole->conf, bytes) != 0))
         e = err_fail(ERR_ARG, "rank %d has other maps", team_rank(t));
     free_world(&w);
     return e;
@@ -218,6 +249,11 @@ static void test_same_for_any_number_of_ranks(void **state)
     for (int size = 2; size <= 8; size += 2) // with 8, some have no view
         if (team_local_run(size, size > 2 ? uneven : NULL, compare_on_rank, &d, NULL))
             fail_msg("%s", err_text());
+    arena_reset(&w.keep, 0);
+    w.v.n = 3;
+    assert_int_equal(sweep_run(&w.run, &w.v, &w.tone, &d), OK);
+    if (team_local_run(2, NULL, compare_on_rank, &d, NULL))
+        fail_msg("%s", err_text());
     free_world(&w);
 }
 
@@ -384,6 +420,7 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_depth),
+        cmocka_unit_test(test_few_views_confirm_a_slope),
         cmocka_unit_test(test_same_for_any_number_of_threads),
         cmocka_unit_test(test_same_for_any_number_of_ranks),
         cmocka_unit_test(test_nothing_to_match),
