@@ -22,7 +22,7 @@ struct slant {
     const float *contrast; // (h, w) of match_cost
     float step;            // of inverse depth, about one pixel in a neighbour; above 0
     float *slope;          // (h, w, 2) scratch
-    float *cost;           // (h, w) out: matching cost of the planes, MATCH_OUTSIDE at most
+    float *cost;           // (h, w) out: matching cost of the planes, 0 .. 1.1
 };
 
 /* io: rho (h, w), inverse depths, 0 or more; only better ones are taken. */

@@ -50,11 +50,12 @@ struct sweep {
     struct match_light *light_map[2]; // (n) fine, coarse
     int (*near)[CHECK_MAX];           // (n) other views, best first
     int *n_near;                      // (n)
-    float *rho, *fine;                // (maps) inverse depth of the sweep, and made finer
-    float *sure, *fine_sure;          // (maps) 0..1, confidence of the matching alone
-    float (*range)[2];                // (n) inverse depth of the first and last plane
-    struct scratch *scratch;          // (workers)
-    atomic_int done;                  // views
+    float *rho, *sure; // (maps) inverse depth of the sweep and its confidence 0..1; in `out` until
+                       // the check
+    float *fine, *fine_sure; // (maps) both made finer
+    float (*range)[2];       // (n) inverse depth of the first and last plane
+    struct scratch *scratch; // (workers)
+    atomic_int done;         // views
 };
 
 /* Scratch of one worker, for the largest picture and number of planes. */
@@ -686,10 +687,6 @@ static err_t layout(struct sweep *s, struct arena *a, const struct extent *maps,
     if (!e)
         e = arena_alloc(a, n, sizeof *s->range, &s->range);
     if (!e)
-        e = arena_alloc(a, pixels, sizeof *s->rho, &s->rho);
-    if (!e)
-        e = arena_alloc(a, pixels, sizeof *s->sure, &s->sure);
-    if (!e)
         e = arena_alloc(a, pixels, sizeof *s->fine, &s->fine);
     if (!e)
         e = arena_alloc(a, pixels, sizeof *s->fine_sure, &s->fine_sure);
@@ -749,6 +746,8 @@ err_t sweep_run(const struct run *r, const struct views *v, const struct tonemap
     if (e)
         return e;
     e = make_maps(r, v, out);
+    s.rho = out->depth;
+    s.sure = out->conf;
     if (!e)
         e = layout(&s, r->tmp, out->extent, pool_size(r->pool));
     if (!e) {

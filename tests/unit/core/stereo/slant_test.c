@@ -57,7 +57,7 @@ static void refine(struct pair *p)
     slant_refine(&s, p->rho);
     for (int i = 0; i < PIXELS; i++) {
         assert_true(isfinite(p->rho[i]) && p->rho[i] >= 0);
-        assert_true(cost[i] >= 0 && cost[i] <= MATCH_OUTSIDE);
+        assert_true(cost[i] >= 0 && cost[i] <= 1.1f);
     }
 }
 
