@@ -137,8 +137,10 @@ static struct plane fit_plane(const struct slant *s, const float *rho, const str
     float n = 0;
     for (int i = 0; i < WINDOW; i++) {
         const int dx = i % MATCH_TAPS - MATCH_RADIUS, dy = i / MATCH_TAPS - MATCH_RADIUS;
-        const float d = p->known[i] < 0 ? 0 : rho[p->at + dy * w + dx] - f.rho;
-        if (p->known[i] < 0 || fabsf(d) > FLAT * s->step)
+        if (p->known[i] < 0)
+            continue;
+        const float d = rho[p->at + dy * w + dx] - f.rho;
+        if (fabsf(d) > FLAT * s->step)
             continue;
         f.u += (float)dx * d;
         f.v += (float)dy * d;
@@ -154,7 +156,7 @@ static void begin_plane(const struct slant *s, const struct window *p, float *rh
     const struct plane f = fit_plane(s, rho, p);
     float *slope = s->slope + 2 * p->at;
     slope[0] = slope[1] = 0;
-    const struct plane flat = plane_of(s, rho, p->at);
+    const struct plane flat = {.rho = rho[p->at]};
     s->cost[p->at] = cost_of(s, p, &flat, true);
     try_plane(s, p, &f, rho);
 }
@@ -165,22 +167,24 @@ static float spread(uint64_t *state)
     return (float)((double)(splitmix_next(state) >> 11) * 0x1p-52 - 1);
 }
 
+/* The plane of the pixel so far away, extended to this one. */
+static void try_neighbour(const struct slant *s, const struct window *p, int dx, int dy, float *rho)
+{
+    const int w = s->own->w, h = s->own->h, x = p->x + dx, y = p->y + dy;
+    if (x < 0 || y < 0 || x >= w || y >= h)
+        return;
+    struct plane f = plane_of(s, rho, y * w + x);
+    f.rho -= (float)dx * f.u + (float)dy * f.v;
+    try_plane(s, p, &f, rho);
+}
+
 /* The planes of the pixels before it in the order of the pass, then random ones near its own. */
 static void improve(const struct slant *s, const struct window *p, int pass, uint64_t *state,
                     float *rho)
 {
-    const int w = s->own->w, h = s->own->h, back = pass % 2 ? 1 : -1;
-    const int x = p->x + back, y = p->y + back;
-    if (x >= 0 && x < w) {
-        struct plane f = plane_of(s, rho, p->at + back);
-        f.rho -= (float)back * f.u;
-        try_plane(s, p, &f, rho);
-    }
-    if (y >= 0 && y < h) {
-        struct plane f = plane_of(s, rho, p->at + back * w);
-        f.rho -= (float)back * f.v;
-        try_plane(s, p, &f, rho);
-    }
+    const int back = pass % 2 ? 1 : -1;
+    try_neighbour(s, p, back, 0, rho);
+    try_neighbour(s, p, 0, back, rho);
     const float reach = s->step * ldexpf(2, -pass);
     for (int k = 0; k < TRIES; k++) {
         struct plane f = plane_of(s, rho, p->at);
