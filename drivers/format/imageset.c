@@ -2,6 +2,7 @@
 
 #include "core/base/num.h"
 #include "core/photo/undistort.h"
+#include "drivers/format/brackets.h"
 #include "drivers/format/exiftimes.h"
 #include "drivers/format/exposures.h"
 #include "drivers/format/img.h"
@@ -490,11 +491,11 @@ static err_t get_sizes(const struct imageset_request *rq, struct imageset *set)
     return OK;
 }
 
-/* Its camera, and the size that it has once it is undistorted. */
+/* Its camera by the name that has one, and the size that it has once it is undistorted. */
 static err_t give_camera(const char *source, const struct rig *rig, const char *path,
-                         struct shot *s)
+                         const char *name, struct shot *s)
 {
-    struct cameras_picture picture = {s->name, s->taken_w, s->taken_h, 1};
+    struct cameras_picture picture = {name, s->taken_w, s->taken_h, 1};
     struct rig_view v;
     err_t e = imgsize_orientation(path, &picture.orientation);
     if (!e)
@@ -513,16 +514,18 @@ static err_t give_camera(const char *source, const struct rig *rig, const char *
     return e;
 }
 
-/* Keep the pictures that have a camera. */
+/* Keep the pictures that have a camera, or whose place has one. */
 static err_t keep_placed(const char *source, const struct rig *rig, struct imageset *set)
 {
     struct capture *c = &set->capture;
+    bool has = false;
     int n = 0;
     for (int i = 0; i < c->n; i++) {
-        bool has;
-        err_t e = cameras_has(source, rig, c->shots[i].name, &has);
+        bool own;
+        err_t e = cameras_has(source, rig, c->shots[i].name, &own);
         if (e)
             return e;
+        has = own || (c->shots[i].again && has);
         if (has)
             c->shots[n++] = c->shots[i];
         for (int k = 0; k < set->n_parts && !has; k++)
@@ -535,28 +538,51 @@ static err_t keep_placed(const char *source, const struct rig *rig, struct image
                             set->n_unplaced);
 }
 
-static err_t get_cameras(const struct imageset_request *rq, struct imageset *set)
+static err_t decode_shot(void *set, int i, struct image8 *out)
 {
-    char found_path[FILE_PATH_CAP], path[FILE_PATH_CAP];
-    bool found = true;
+    return imageset_decode(set, i, out);
+}
+
+/* Further exposures of a place have the camera of the first. */
+static err_t give_cameras(const char *source, const struct rig *rig, struct imageset *set)
+{
+    const struct capture *c = &set->capture;
+    char path[FILE_PATH_CAP];
+    err_t e = OK;
+    for (int i = 0, named = 0; i < c->n && !e; i++) {
+        bool has;
+        e = cameras_has(source, rig, c->shots[i].name, &has);
+        named = has || !c->shots[i].again ? i : named;
+        if (!e)
+            e = picture_path(set, i, path);
+        if (!e)
+            e = give_camera(source, rig, path, c->shots[named].name, &c->shots[i]);
+    }
+    return e;
+}
+
+/* plain: a folder whose names tell of no brackets. */
+static err_t get_cameras(const struct imageset_request *rq, bool plain, struct imageset *set)
+{
+    char found_path[FILE_PATH_CAP];
     const char *source = rq->rig;
-    if (rq->no_cameras)
-        return OK;
-    if (!source) {
-        err_t e = rigfile_find(set->dir, &found, found_path);
-        if (e || !found)
-            return e;
+    const struct prep_source from = {.decode = decode_shot, .release = img_free, .ctx = set};
+    bool found = !rq->no_cameras;
+    err_t e = OK;
+    if (found && !source) {
+        e = rigfile_find(set->dir, &found, found_path);
         source = found_path;
     }
+    if (e || !found)
+        return e || !plain || !rq->brackets ? e : brackets_mark(&set->capture, &from);
     struct rig rig;
-    err_t e = rigfile_read(source, &rig);
+    e = rigfile_read(source, &rig);
+    if (!e && plain && (rq->brackets || rq->some_cameras))
+        e = brackets_mark_lacking(source, &rig, &from, &set->capture);
     if (!e && rq->some_cameras)
         e = keep_placed(source, &rig, set);
-    for (int i = 0; i < set->capture.n && !e; i++) {
-        e = picture_path(set, i, path);
-        if (!e)
-            e = give_camera(source, &rig, path, &set->capture.shots[i]);
-    }
+    if (!e)
+        e = give_cameras(source, &rig, set);
     cameras_free(&rig);
     if (e == ERR_FORMAT && !rq->rig)
         e = err_fail(e, "%s; it was found beside the pictures: --rig none does without it",
@@ -592,7 +618,7 @@ static err_t list_folder(const struct imageset_request *rq, struct imageset *out
     if (!e)
         e = get_sizes(rq, out);
     if (!e)
-        e = get_cameras(rq, out);
+        e = get_cameras(rq, !released && !bracketed, out);
     if (e)
         imageset_free(out);
     return e;
@@ -689,7 +715,7 @@ static err_t list_folders(const struct imageset_request *rq, struct imageset *ou
         e = add_folder(&each, out);
     }
     if (!e && rq->rig)
-        e = get_cameras(rq, out);
+        e = get_cameras(rq, false, out);
     if (e)
         imageset_free(out);
     return e;

@@ -8,8 +8,9 @@
  * the pictures' EXIF, where all must have the same tags; where none has any, and names tell of no
  * brackets, all are taken to have one, and a note says so. A folder with names that begin with
  * "train" has the released layout: "train" pictures are inputs, "test" pictures are held out, and
- * train_ldr_000_2.png is exposure 2 of view train_ldr_000. In any other folder every picture is a
- * view of its own and an input. Other layouts with brackets are in layout.h; cameras may be in
+ * train_ldr_000_2.png is exposure 2 of view train_ldr_000. In any other folder every picture is
+ * an input, and a view of its own unless brackets finds that a camera stood still (brackets.h).
+ * Other layouts with brackets are in layout.h; cameras may be in
  * transforms.json or poses_bounds_exps.npy instead of sparse/0, and exposures with them.
  *
  * Choice of exposures, unless every_exposure or brackets: the names that protocol.json gives for
@@ -40,7 +41,8 @@ struct imageset_request {
     enum imageset_which which; // of the released layout
     int n_views;               // 0 = all
     bool every_exposure;       // all exposures of the chosen views, without protocol.json
-    bool brackets;             // all exposures of each view, unless protocol.json names pictures
+    bool brackets;             // all exposures of each view, unless protocol.json names pictures;
+                               // which photographs are exposures of one view is looked for
     uint32_t exposure_set;     // bit k: the k-th shortest time of all may be used; 0 = every one
     bool may_lack_times;       // a picture without exposure has exposure 0, instead of an error
     bool no_cameras;           // neither rig nor sparse/0 are read

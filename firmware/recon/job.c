@@ -246,8 +246,9 @@ static err_t check_capture(const struct capture *c)
     if (prep_places(c) < 2)
         return err_fail(ERR_ARG,
                         "%d view, a scene needs at least 2, from different places; 8 to 20 "
-                        "are good",
-                        prep_places(c));
+                        "are good%s",
+                        prep_places(c),
+                        c->n > 1 ? "; all photographs are exposures of one place" : "");
     for (int i = 1; i < c->n; i++)
         if (c->shots[i].has_camera != c->shots[0].has_camera)
             return err_fail(ERR_ARG,
@@ -458,6 +459,12 @@ static void report_making(const struct job_result *j, struct report *rep)
         snprintf(text, sizeof text,
                  "depth of %.0f %% of the pixels by the network, where stereo is not sure",
                  (double)(100 * j->completed));
+        report_text(rep, NULL, text);
+    }
+    if (j->views.n_more > 0) {
+        char text[128];
+        snprintf(text, sizeof text, "%d photographs from %d places: those of a bracket share one",
+                 j->views.n + j->views.n_more, j->views.n);
         report_text(rep, NULL, text);
     }
     if (j->taken > j->views.n + j->views.n_more) {

@@ -67,4 +67,25 @@ grep -q '15 of 20 photographs: the others show nothing more' "$OUT/more.scene/re
 # nobody knows the cameras
 succeed reconstruct --images "$OUT/three" --size 112 --refine 20 --out "$OUT/found.scene"
 grep -q '"photographs": 15,' "$OUT/found.scene/report.json" || fail "found: not 15 photographs"
+
+# names that tell of nothing, as from a camera on a tripod
+mkdir "$OUT/tripod"
+n=0
+for ((v = 0; v < places; v++)); do
+    for exposure in 01 00; do
+        name=DSC_$((1000 + n++)).png
+        cp "$OUT/three/images/train_0${v}_$exposure.png" "$OUT/tripod/$name"
+        time=$(sed -n "s/.*\"train_0${v}_$exposure.png\": *\([^,]*\).*/\1/p" "$OUT/exposure.json")
+        echo "\"$name\": $time"
+    done
+done | sed '1s/^/{/; $!s/$/,/; $s/$/}/' >"$OUT/times.json"
+mv "$OUT/times.json" "$OUT/tripod/exposure.json"
+succeed reconstruct --images "$OUT/tripod" --size 112 --refine 20 --out "$OUT/tripod.scene"
+grep -q '"10 photographs from 5 places: those of a bracket share one"' \
+    "$OUT/tripod.scene/report.json" || fail "the report does not tell of brackets on a tripod"
+succeed export "$OUT/tripod.scene" --images "$OUT/tripod" --colmap "$OUT/tripod.export"
+[ "$(ls "$OUT/tripod.export/images" | wc -l)" -eq 10 ] || fail "not all exposures are exported"
+succeed reconstruct --images "$OUT/tripod" --rig "$OUT/tripod.scene/cameras.json" --size 112 \
+    --refine 20 --out "$OUT/again.scene"
+grep -q '"photographs": 10,' "$OUT/again.scene/report.json" || fail "again: not 10 photographs"
 finish
