@@ -415,6 +415,14 @@ static err_t read_cameras(struct state *st, const struct request *rq)
         return e;
     keep_inputs(&rig, &st->train.capture);
     keep_inputs(&rig, &st->true_train.capture);
+    if (rq->set.no_cameras && st->train.capture.n == 0) {
+        e = err_fail(ERR_ARG,
+                     "%s: none of the scene's %d input views are in this folder, and cameras of "
+                     "held-out pictures are found beside them",
+                     rq->set.images, rig.n);
+        cameras_free(&rig);
+        return e;
+    }
     stored_light(&rig, &st->job);
     if (rq->set.no_cameras && !is_squeezed(&rig, &st->test.capture)) {
         stored_lenses(&rig, &st->train.capture, &st->job);

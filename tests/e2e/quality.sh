@@ -63,6 +63,14 @@ grep -q 'exposed 1[01] stops less .* another unit' "$ERR" ||
     fail "milliseconds for seconds: $(cat "$ERR")"
 expect 2 '--scene has its input views' eval --data "$OUT/set" --scene "$OUT/eight" --views 3
 expect 1 'nowhere/scene.hdrig' eval --data "$OUT/set" --scene "$OUT/nowhere"
+cp -r "$OUT/staggered" "$OUT/foreign"
+for file in "$OUT"/foreign/images/train_ldr_0*; do
+    mv "$file" "${file/train_ldr_0/train_ldr_9}"
+done
+sed -i 's/train_ldr_0/train_ldr_9/' "$OUT/foreign/exposure.json"
+rm -r "$OUT/foreign/sparse"
+expect 1 "foreign: none of the scene's 8 input views are in this folder" \
+    eval --data "$OUT/foreign" --scene "$OUT/eight" --rig none
 
 # inputs at one exposure only
 succeed eval --data "$OUT/set" --size 56 --refine 0 --exposure-set 3 --json -
