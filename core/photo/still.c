@@ -13,7 +13,7 @@ static const double ROUNDING = 2;   // beside this much of noise, codes squared
 static const double SAME = 0.6;     // share of the squares with texture
 static const double COVERED = 0.25; // share of a square that must be usable
 
-/* Two photographs, b the darker: its codes stand for more light each, and are not made of noise.
+/* Two photographs, compared in codes of b, the darker: raised to those of a, so would its noise be.
  * like: value of b for each of a, below 0 where hardly any pixel has it. */
 struct pair {
     const struct image8 *a, *b;

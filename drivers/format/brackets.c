@@ -38,7 +38,7 @@ static err_t read_small(const struct capture *c, const struct prep_source *from,
     if (e)
         return e;
     *out = still_size(photo.w, photo.h);
-    out->px = malloc((size_t)out->w * (size_t)out->h);
+    out->px = malloc((size_t)out->w * (size_t)out->h + 1); // a strip leaves nothing
     if (out->px)
         still_shrink(&photo, out);
     else

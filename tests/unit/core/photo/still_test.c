@@ -111,6 +111,9 @@ static void photographs_become_smaller(void **state)
     still_shrink(&photo, &out);
     for (int i = 0; i < 333 * 3; i++)
         assert_int_equal(px[i], i % 333 % 200);
+    const struct image8 strip = still_size(16384, 3); // nothing is left of it
+    assert_int_equal(strip.h, 0);
+    assert_false(still_same(&strip, &strip));
     assert_int_equal(still_size(STILL_EDGE, 100).w, STILL_EDGE);
     assert_int_equal(still_size(100, STILL_EDGE + 1).h, (STILL_EDGE + 1) / 2);
 }
