@@ -42,9 +42,9 @@ static void make_folder(void)
                   {W, 2, 0.25},                            // from elsewhere
                   {W - 8, 2, 1},                           // of another size
                   {W - 8, 2, 1.1}};                        // hardly another exposure
-    char json[1024] = "", name[16];
+    char json[1024] = "", name[32];
     for (int i = 0; i < N; i++) {
-        sprintf(name, "DSC_%02d.png", i);
+        snprintf(name, sizeof name, "DSC_%02d.png", i);
         put(name, shots[i].w, shots[i].place, shots[i].exposure, json);
     }
     tmpdir_text("exposure.json", strcat(json, "}"));
